@@ -1,0 +1,26 @@
+"""millax: a differentiable model of robotic milling."""
+
+from ._case import Case
+from ._cut import Cut
+from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
+from ._settings import Settings
+from ._simulate import Simulation, SimulationError, simulate
+from ._stock import Stock
+from ._structure import Structure
+from ._tool import EndMill
+
+__all__ = [
+    "Case",
+    "Cut",
+    "EndMill",
+    "ExponentialLaw",
+    "ForceLaw",
+    "FractionalLaw",
+    "LinearLaw",
+    "Settings",
+    "Simulation",
+    "SimulationError",
+    "Stock",
+    "Structure",
+    "simulate",
+]

@@ -1,0 +1,25 @@
+"""A case: everything a simulation needs, as one pytree."""
+
+import equinox as eqx
+
+from ._cut import Cut
+from ._forces import ForceLaw
+from ._settings import Settings
+from ._stock import Stock
+from ._structure import Structure
+from ._tool import EndMill
+
+
+class Case(eqx.Module):
+    """Tool, force law, cut, stock, structure and settings.
+
+    Every physical number is a leaf, under the name it has in a case file: `case.force.k0`, `case.cut.depth`,
+    `case.structure.stiffness`. Change one with `equinox.tree_at`.
+    """
+
+    tool: EndMill
+    force: ForceLaw
+    cut: Cut
+    stock: Stock
+    structure: Structure
+    settings: Settings

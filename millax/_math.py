@@ -1,0 +1,26 @@
+"""Smooth gates and step averages: the only places where the model has a kink.
+
+A gate has one half-width ``w``. It equals its hard counterpart outside ``[-w, w]`` and is a quadratic inside, so it is
+continuously differentiable; its largest bias is ``w / 4``, at the kink itself, and its mean bias over a crossing is
+second order in ``w``. The same quadratic is the exact mean of the hard gate over an interval of half-length ``w``: the
+model uses one formula to smooth in space and to average over a time step.
+
+At ``w = 0`` the gates are the hard functions; the derivative at the kink is then the one from below (0 for the positive
+part, the derivative of the first argument for the minimum of equal arguments).
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+_TINY = 1e-30
+
+
+def positive_part(x: Float[Array, "..."], width: Float[Array, "..."]) -> Float[Array, "..."]:
+    """max(x, 0), blended: (x + w)²/(4 w) for abs(x) < w, exactly 0 below and exactly x above."""
+    inside = jnp.clip(x, -width, width)
+    return (inside + width) ** 2 / (4.0 * width + _TINY) + jnp.maximum(x - width, 0.0)
+
+
+def minimum(a: Float[Array, "..."], b: Float[Array, "..."], width: Float[Array, "..."]) -> Float[Array, "..."]:
+    """min(a, b), blended: differs from the hard minimum only where abs(a - b) < w, by at most w/4 and downwards."""
+    return a - positive_part(a - b, width)
