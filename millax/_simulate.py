@@ -1,9 +1,40 @@
-"""Stub to be replaced by the engine."""
+"""The simulation: one scan over tooth periods, each computed at once.
+
+Within a block (a tooth period or a part of one) the surfaces left by earlier passes are known, so chip thickness and
+force of all its steps are one vectorised expression of the tool's displacement. The displacement follows from the force
+by the structure's exact response. The two are iterated, force -> displacement -> force, from the force one tooth period
+earlier: the map is strictly causal, so the iteration always converges; how many sweeps it needs depends on how strongly
+the force feels the displacement within a block (`Settings.suited` chooses). What the last sweep changed is reported as
+the residual.
+"""
+
+import functools
+from typing import NamedTuple, overload
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ._case import Case
+from ._chip import Angles, mean_positive, past_surfaces, thickness
+from ._contact import Borders, crossing, plane_force
+from ._response import block_response
+from ._settings import Settings
+from ._types import Scalar
+
+RESIDUAL_TOLERANCE = 1e-6
+"""Largest residual of a simulation that counts as converged."""
+
+STATUS = {
+    0: "ok",
+    1: "the fixed-point sweeps have not converged: give more sweeps, or more blocks per tooth period",
+    2: "the tool left its path by more than its radius: the cut is unstable or the structure too soft",
+    3: "the traces hold numbers that are not finite: the cut is unstable, or a parameter is out of its range",
+}
+"""What each `Simulation.status` means and what to try."""
 
 
 class SimulationError(RuntimeError):
@@ -11,16 +42,167 @@ class SimulationError(RuntimeError):
 
 
 class Simulation(eqx.Module):
-    """Traces of one simulated cut. Sample j is at the middle of time step j."""
+    """Traces of one simulated cut. Sample j belongs to the middle of time step j.
+
+    **Attributes:**
+
+    - `time`: t [s], shape (steps,).
+    - `force`: mean force on the tool over each step, in the workpiece frame [N], shape (steps, 3).
+    - `displacement`: deviation of the tool centre from its commanded path [m], shape (steps, axes).
+    - `chip_thickness`: mean over each step, per tooth [m], shape (steps, teeth).
+    - `residual`: largest change of the force in the last sweep over the largest force [-].
+    - `status`: 0 where the simulation can be trusted; otherwise a key of `millax.STATUS`.
+    - `axes`: the columns of `displacement`. Static.
+    """
 
     time: Float[Array, " steps"]
     force: Float[Array, "steps 3"]
     displacement: Float[Array, "steps axes"]
     chip_thickness: Float[Array, "steps teeth"]
-    residual: Float[Array, ""]
+    residual: Scalar
     status: Int[Array, ""]
     axes: tuple[str, ...] = eqx.field(static=True)
 
 
 def simulate(case: Case, *, throw: bool = True) -> Simulation:
-    raise NotImplementedError
+    """Simulate a cut.
+
+    **Arguments:**
+
+    - `case`: a `Case`.
+    - `throw`: raise `SimulationError` when the result must not be used. Under `jit`, `grad` or `vmap` nothing can be
+      raised: look at `Simulation.status` there.
+    """
+    sim = _simulate(case)
+    if throw and not isinstance(sim.status, jax.core.Tracer):
+        status = int(sim.status)
+        if status:
+            raise SimulationError(f"{STATUS[status]} (residual {float(sim.residual):.1e})")
+    return sim
+
+
+class _Tables(NamedTuple):
+    """What a block needs to know of its place in the tooth period."""
+
+    angles: Angles
+    before: Float[Array, "borders teeth m"]
+    after: Float[Array, "borders teeth m"]
+    steepness: Float[Array, "borders teeth m"]
+    exits: Float[Array, "borders teeth m"]
+
+
+@eqx.filter_jit
+def _simulate(case: Case) -> Simulation:
+    tool, law, cut, structure, settings = case.tool, case.force, case.cut, case.structure, case.settings
+    teeth, steps, blocks = tool.teeth, settings.steps_per_tooth, settings.blocks
+    m = steps // blocks
+    step_angle = 2 * np.pi / (teeth * steps)
+    tau = cut.tooth_period(tool)
+    feed_per_tooth = cut.feed_per_tooth(tool)
+    tip_speed = cut.spindle_speed * tool.radius
+    response = block_response(structure, tau / steps, m)
+    tables = _tables(case, m)
+    rigid = structure.coordinates == 0
+
+    def block(state, inputs):
+        table, past_u, past_v, guess, travelled = inputs
+        past = past_surfaces(table.angles, past_u, past_v, feed_per_tooth, cut.feed_rate, tip_speed)
+        # The feed brings the stock nearer, or takes it away, by the same amount for every tooth and step.
+        approach = (case.stock.normals[:, 0] * travelled)[:, None, None]
+        borders = Borders(
+            case.stock.normals, table.before - approach, table.after - approach, table.steepness, table.exits
+        )
+
+        def cutting(u):
+            g, rate = thickness(table.angles, past, u, tool.radius, settings.width)
+
+            def thickness_at(turn):
+                return mean_positive(g + rate * turn, rate, step_angle, settings.width)
+
+            contact = crossing(law, borders, u, thickness_at, step_angle, settings.width)
+            return plane_force(table.angles, contact, law.kr, cut.depth), contact.thickness
+
+        free = response.free_position @ state
+        force, change = guess, 0.0
+        for _ in range(1 if rigid else settings.sweeps):
+            previous = force
+            force, chip = cutting(free + jnp.einsum("ajbl,bl->aj", response.forced_position, force))
+            change = jnp.max(jnp.abs(force - previous))
+        u = free + jnp.einsum("ajbl,bl->aj", response.forced_position, force)
+        v = response.free_velocity @ state + jnp.einsum("ajbl,bl->aj", response.forced_velocity, force)
+        axes = response.free_axes @ state + jnp.einsum("ajbl,bl->aj", response.forced_axes, force)
+        state = response.free_end @ state + jnp.einsum("sbl,bl->s", response.forced_end, force)
+        return state, (u, v, force, axes, chip, jnp.zeros(()) if rigid else change)
+
+    def period(carry, index):
+        state, past_u, past_v, guess = carry
+        travelled = jnp.full(blocks, index * feed_per_tooth)
+        state, (u, v, force, axes, chip, change) = lax.scan(block, state, (tables, past_u, past_v, guess, travelled))
+        past_u = jnp.concatenate([u[:, None], past_u[:, :-1]], axis=1)
+        past_v = jnp.concatenate([v[:, None], past_v[:, :-1]], axis=1)
+        return (state, past_u, past_v, force), (force, axes, chip, jnp.max(change))
+
+    nothing = jnp.zeros((blocks, settings.passes, 2, m))
+    start = (jnp.zeros(2 * structure.coordinates), nothing, nothing, jnp.zeros((blocks, 2, m)))
+    index = jnp.arange(settings.periods, dtype=tau.dtype)
+    _, (force, axes, chip, change) = lax.scan(period, start, index)
+
+    force = _trace(force)
+    displacement = _trace(axes)
+    largest = jnp.max(jnp.abs(force))
+    residual = jnp.max(change) / jnp.where(largest > 0, largest, 1.0)
+    finite = jnp.isfinite(largest) & jnp.all(jnp.isfinite(displacement))
+    strayed = jnp.any(jnp.abs(displacement) > tool.radius)
+    status = jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual > RESIDUAL_TOLERANCE, 1, 0)))
+    return Simulation(
+        time=(jnp.arange(settings.steps) + 0.5) * (tau / steps),
+        force=jnp.pad(force, ((0, 0), (0, 1))),
+        displacement=displacement,
+        chip_thickness=_by_tooth(chip, teeth),
+        residual=lax.stop_gradient(residual),
+        status=status,
+        axes=structure.axes,
+    )
+
+
+def _tables(case: Case, m: int) -> _Tables:
+    """Geometry of every block of a tooth period, in the first period."""
+    tool, cut, stock, settings = case.tool, case.cut, case.stock, case.settings
+    teeth, steps, blocks = tool.teeth, settings.steps_per_tooth, settings.blocks
+    place = np.arange(teeth)[None, :, None] * (2 * np.pi / teeth)
+    step = np.arange(steps).reshape(blocks, 1, m)
+    step_angle = 2 * np.pi / (teeth * steps)
+    dt = cut.tooth_period(tool) / steps
+
+    def tip_inside(offset):
+        """Distance of each tip inside each border, `offset` of a step after its start; shape (blocks, borders, teeth, m)."""
+        phi = place + (step + offset) * step_angle
+        x = cut.start[0] + cut.feed_rate * (step + offset) * dt + tool.radius * np.cos(phi)
+        y = cut.start[1] - tool.radius * np.sin(phi)
+        nx, ny = stock.normals.T[:, None, :, None, None]
+        return stock.offsets[None, :, None, None] - nx * x[:, None] - ny * y[:, None]
+
+    phi = place + (step + 0.5) * step_angle
+    cos, sin = jnp.asarray(np.cos(phi)), jnp.asarray(np.sin(phi))
+    nx, ny = stock.normals.T[:, None, :, None, None]
+    across = nx * cos[:, None] - ny * sin[:, None]
+    return _Tables(
+        angles=Angles(cos, sin),
+        before=tip_inside(0),
+        after=tip_inside(1),
+        steepness=1 / jnp.sqrt(across**2 + 1e-6),
+        exits=jnp.where(across > 0, 1.0, 0.0),
+    )
+
+
+def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "steps columns"]:
+    """Blocks of traces, one row per column, as one array with time first."""
+    return jnp.moveaxis(blocks, 2, -1).reshape(-1, blocks.shape[2])
+
+
+def _by_tooth(chip: Float[Array, "periods blocks teeth m"], teeth: int) -> Float[Array, "steps teeth"]:
+    """From places around the tool to teeth: in period b the tooth i stands at place i + b."""
+    periods = chip.shape[0]
+    place = (np.arange(teeth)[None, :] + np.arange(periods)[:, None]) % teeth
+    chip = jnp.moveaxis(chip, 2, 1).reshape(periods, teeth, -1)
+    return _trace(jnp.take_along_axis(chip, jnp.asarray(place)[:, :, None], axis=1)[:, None])
