@@ -1,16 +1,20 @@
 """millax: a differentiable model of robotic milling."""
 
 from ._case import Case
+from ._casefile import CaseError, CaseFile, load_case
 from ._cut import Cut
 from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
 from ._settings import Settings
 from ._simulate import Simulation, SimulationError, simulate
 from ._stock import Stock
 from ._structure import Structure
+from ._summary import summarize
 from ._tool import EndMill
 
 __all__ = [
     "Case",
+    "CaseError",
+    "CaseFile",
     "Cut",
     "EndMill",
     "ExponentialLaw",
@@ -22,5 +26,7 @@ __all__ = [
     "SimulationError",
     "Stock",
     "Structure",
+    "load_case",
     "simulate",
+    "summarize",
 ]

@@ -11,6 +11,9 @@ from typing import Any
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _NUMBER_AND_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d]|[%°]|1/).*?)?\s*")
 
+EXPONENT = "(1+m)"
+"""In a unit: an exponent that depends on another number, as in "N/m^(1+m)" for a force that grows with h^m."""
+
 _EXAMPLES = {
     "": "0.05",
     "m": "10 mm",
@@ -62,7 +65,9 @@ def express(value: float, unit: str) -> float:
 
 
 def si_scale(unit: str) -> float:
-    """One `unit` in SI units. Raises `UnitError` for an unknown unit."""
+    """One `unit` in SI units; 1 for one with an open exponent, which is SI. Raises `UnitError` for an unknown unit."""
+    if unit == f"N/m^{EXPONENT}":
+        return 1.0
     return _in_base_units(unit)[0]
 
 

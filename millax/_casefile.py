@@ -1,0 +1,196 @@
+"""From a case file (TOML) to a `Case`."""
+
+import dataclasses
+import difflib
+import functools
+import math
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ._case import Case
+from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Quantity, Section
+from ._caseleaves import Leaf, leaves, rewrite
+from ._cut import Cut
+from ._settings import Settings
+from ._stock import Stock
+from ._structure import Structure
+from ._tool import EndMill
+from ._units import UnitError, parse, show
+
+
+class CaseError(ValueError):
+    """A case that cannot be used; the message names the file, the key, what was given and what is allowed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CaseFile:
+    """A case file that has been read: the case, and the text it came from.
+
+    - `source`: the name of the file, for messages.
+    - `text`: its TOML text.
+    - `case`: its `Case`.
+    """
+
+    source: str
+    text: str
+    case: Case
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> "CaseFile":
+        """Read a file. Raises `CaseError`."""
+        source = os.fspath(path)
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except OSError as error:
+            raise CaseError(f"{source}: the case file cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise CaseError(f"{source}: not a text file in UTF-8; a case file is TOML") from None
+        return cls.from_text(text, source)
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "case") -> "CaseFile":
+        """Read TOML text; `source` names it in messages. Raises `CaseError`."""
+        import tomlkit
+        from tomlkit.exceptions import TOMLKitError
+
+        try:
+            tables = tomlkit.parse(text).unwrap()
+        except TOMLKitError as error:
+            raise CaseError(f"{source}: not valid TOML: {error}") from None
+        return cls(source, text, _case(tables, source))
+
+    @functools.cached_property
+    def tables(self) -> dict[str, Any]:
+        """The file as plain dictionaries, lists and values, with the tables of fits and traces."""
+        import tomlkit
+
+        return tomlkit.parse(self.text).unwrap()
+
+    @functools.cached_property
+    def leaves(self) -> dict[str, Leaf]:
+        """Every number of the file that is a leaf of the case, by its name.
+
+        The name is that of the file: `force.k0`; `structure.damping_ratio.x` where there is one per axis (`.0`, `.1`
+        with mode shapes, whose coordinates have no axis); `structure.stiffness.0.1` for an entry of a matrix. A number
+        which the file leaves to its default has no name, nor has `cut.feed_per_tooth`: the case holds the feed rate
+        that follows from it.
+        """
+        return leaves(self.tables, _sections(self.tables))
+
+    def leaf(self, name: str) -> Leaf:
+        """The leaf called `name`. Raises `CaseError`."""
+        if name not in self.leaves:
+            raise CaseError(
+                f"{self.source}: {name} is not a number of this case file.{_nearest(name, self.leaves)}\n"
+                f"  Its numbers: {', '.join(self.leaves)}"
+            )
+        return self.leaves[name]
+
+    def read_as(self, name: str, key: str, value: Any) -> float:
+        """`value` (text with a unit, or a bare SI number) as a number for the leaf `name`, in SI.
+
+        `key` names the value in messages. Raises `CaseError`.
+        """
+        section, key_in_section = self.leaf(name).field
+        kind = _sections(self.tables)[section].keys[key_in_section]
+        assert isinstance(kind, Quantity)
+        try:
+            return parse(key, *kind.resolved(value, self.tables[section]))
+        except UnitError as error:
+            raise CaseError(f"{self.source}: {error}") from None
+
+    def with_values(self, values: Mapping[str, float]) -> str:
+        """The file's text with other numbers: SI values by leaf name, written in the units of the file.
+
+        Comments, layout and everything else stay as they are. Raises `CaseError` for a name that is no leaf.
+        """
+        return rewrite(self.text, {self.leaf(name): value for name, value in values.items()})
+
+
+def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:
+    """The `Case` that a case file describes.
+
+    **Arguments:**
+
+    - `case`: the path of a TOML file, or its tables as dictionaries. Bare numbers are SI; others are text with a unit
+      ("10000 rpm").
+
+    Raises `CaseError`, a `ValueError`: no such file, broken TOML, a key that is unknown or missing, a wrong unit or
+    type, a value out of range. The tables of fits and traces are left alone.
+    """
+    return _case(case, "case") if isinstance(case, Mapping) else CaseFile.read(case).case
+
+
+def _case(tables: Mapping[str, Any], source: str) -> Case:
+    try:
+        return _build({name: _read(name, section, tables.get(name)) for name, section in _sections(tables).items()})
+    except ValueError as error:
+        raise CaseError(f"{source}: {error}") from error
+
+
+def _build(values: Mapping[str, dict[str, Any]]) -> Case:
+    tool = EndMill(**values["tool"])
+    force = dict(values["force"])
+    law = LAWS[force.pop("law")](**force)
+    cut = _cut(tool, **values["cut"])
+    structure = Structure(**values["structure"]) if values["structure"] else Structure.rigid()
+    settings = Settings.suited(tool, law, structure, cut, **values["simulation"])
+    return Case(tool, law, cut, Stock.box(**values["stock"]), structure, settings)
+
+
+def _cut(tool: EndMill, spindle_speed, depth, feed_rate=None, feed_per_tooth=None, start=None) -> Cut:
+    if feed_per_tooth is not None:
+        feed_rate = feed_per_tooth * spindle_speed * tool.teeth / (2 * math.pi)
+    if start is None:
+        return Cut.touching(tool, spindle_speed, feed_rate, depth)
+    return Cut(spindle_speed, feed_rate, depth, start)
+
+
+def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
+    """The tables that this file may hold, [force] with the keys of its law. Raises `ValueError`."""
+    for name, table in tables.items():
+        if name in OTHER_TABLES:
+            continue
+        if name not in SECTIONS:
+            hint = _owner(name) or _nearest(name, SECTIONS)
+            raise ValueError(f"[{name}] is not a table of a case file.{hint}\n  Tables: {', '.join(SECTIONS)}")
+        if not isinstance(table, Mapping):
+            raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
+    force = tables.get("force", {})
+    if "law" not in force:
+        return SECTIONS
+    law = SECTIONS["force"].keys["law"].read("force.law", force["law"], force)
+    return SECTIONS | {"force": FORCE[str(law)]}
+
+
+def _read(name: str, section: Section, table: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The values of the table called `name`, in SI. Raises `ValueError`."""
+    takes = f"\n  [{name}] takes: {section}"
+    if table is None:
+        if section.required:
+            raise ValueError(f"the table [{name}] is missing.{takes}")
+        return {}
+    for key in table:
+        if key not in section.keys:
+            hint = _owner(key) or _nearest(key, section.keys)
+            raise ValueError(f"{name}.{key} is not a key of [{name}].{hint}{takes}")
+    for key, kind in section.keys.items():
+        if kind.required and key not in table:
+            raise ValueError(f"{name}.{key} is missing.{takes}")
+    if section.exactly_one and sum(key in table for key in section.exactly_one) != 1:
+        keys = " or ".join(f"{name}.{key}" for key in section.exactly_one)
+        raise ValueError(f"give {keys}: one of them, and only one.{takes}")
+    return {key: section.keys[key].read(f"{name}.{key}", value, table) for key, value in table.items()}
+
+
+def _nearest(word: str, words: Iterable[str]) -> str:
+    close = difflib.get_close_matches(word, list(words), n=1, cutoff=0.5)
+    return f" Did you mean {close[0]}?" if close else ""
+
+
+def _owner(key: str) -> str:
+    tables = [f"[{name}]" for name, section in SECTIONS.items() if key in section.keys]
+    laws = [f'the force law "{law}"' for law, section in FORCE.items() if key in section.keys]
+    return f" It belongs to {(tables + laws)[0]}." if tables or laws else ""

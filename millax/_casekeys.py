@@ -1,0 +1,222 @@
+"""What a case file may contain: one table, read by the reader, its error messages, the writer and the fits.
+
+A key is a `Quantity`, a whole number or a choice; each knows how to read its value and how to say what it takes.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
+from ._types import AXES
+from ._units import EXPONENT, parse, show
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers from `low` to `high`, `low` itself only if `closed`."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    closed: bool = True
+
+    def admits(self, v: np.ndarray) -> bool:
+        """Whether every number of `v` is in the range."""
+        return bool(np.all((v >= self.low if self.closed else v > self.low) & (v <= self.high)))
+
+    def __str__(self):
+        if self.low == -math.inf:
+            return "a finite number"
+        words = f"{self.low:g} or greater" if self.closed else f"greater than {self.low:g}"
+        return words if self.high == math.inf else f"{words}, and at most {self.high:g}"
+
+
+ANY = Range()
+POSITIVE = Range(0, closed=False)
+NOT_NEGATIVE = Range(0)
+
+_SHAPES = {
+    "number": (lambda v: v.ndim == 0, "one number"),
+    "point": (lambda v: v.shape == (2,), "a list of two numbers"),
+    "interval": (lambda v: v.shape == (2,) and v[0] < v[1], "a list of two numbers, the smaller first"),
+    "array": (lambda v: v.ndim <= 2, "one number, a list with one per coordinate, or a matrix as a list of rows"),
+    "matrix": (lambda v: v.ndim == 2, "a matrix as a list of rows"),
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with a unit, or a list or matrix of them.
+
+    `unit` is the SI unit, "" for a plain number. `range` holds for every number, but not for those of a matrix, whose
+    entries off the diagonal have rules of their own. `parameter`: the number is a leaf of the `Case`, under this name.
+    """
+
+    unit: str = ""
+    range: Range = ANY
+    shape: str = "number"
+    required: bool = True
+    parameter: bool = True
+
+    def read(self, name: str, value: Any, table: Mapping[str, Any]) -> Any:
+        """`value` in SI, a float or nested lists; `table` is where it stands. Raises `ValueError`."""
+        fits, words = _SHAPES[self.shape]
+        numbers = parse(name, *self.resolved(value, table))
+        try:
+            array = np.array(numbers)
+        except ValueError:  # rows of different lengths
+            array = np.empty(0)
+        if array.size == 0 or not fits(array):
+            raise ValueError(f"{name}: {show(value)} given; it must be {words}")
+        if array.ndim < 2 and not self.range.admits(array):
+            raise ValueError(f"{name}: {show(value)} given; it must be {self.range}")
+        return numbers
+
+    def resolved(self, value: Any, table: Mapping[str, Any]) -> tuple[Any, str]:
+        """`value` and `unit` with an exponent (1+m) in them as a number."""
+        if EXPONENT not in self.unit:
+            return value, self.unit
+        number = f"{1 + parse('force.m', table['m'], ''):.9g}"
+        return value.replace(EXPONENT, number) if isinstance(value, str) else value, self.unit.replace(EXPONENT, number)
+
+    def __str__(self):
+        return f"[{self.unit}]" if self.unit else "[number]"
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole number of at least `least`."""
+
+    least: int
+    required: bool = True
+    parameter: bool = field(default=False, init=False)
+
+    def read(self, name: str, value: Any, table: Mapping[str, Any]) -> int:
+        """`value`. Raises `ValueError`."""
+        if isinstance(value, bool) or not isinstance(value, int) or value < self.least:
+            raise ValueError(f"{name}: {show(value)} given; it must be a whole number of at least {self.least}")
+        return value
+
+    def __str__(self):
+        return "[whole number]"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some words, or a list of them."""
+
+    options: tuple[str, ...]
+    several: bool = False
+    required: bool = True
+    parameter: bool = field(default=False, init=False)
+
+    def read(self, name: str, value: Any, table: Mapping[str, Any]) -> Any:
+        """`value`, a list as a tuple. Raises `ValueError`."""
+        words = ", ".join(map(show, self.options))
+        if self.several:
+            if not isinstance(value, list) or not value or not set(map(str, value)) <= set(self.options):
+                raise ValueError(f"{name}: {show(value)} given; it must be a list of some of {words}")
+            return tuple(value)
+        if value not in self.options:
+            raise ValueError(f"{name}: {show(value)} given; it must be one of {words}")
+        return value
+
+    def __str__(self):
+        return f"[{'list of ' if self.several else ''}{' | '.join(self.options)}]"
+
+
+Key = Quantity | Whole | Choice
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of the case file: its keys, and keys of which exactly one must be given."""
+
+    keys: Mapping[str, Key]
+    exactly_one: tuple[str, ...] = ()
+    required: bool = True
+
+    def __str__(self):
+        """The keys with their units; a star marks those that must be given."""
+        words = [f"{key}{'*' if kind.required else ''} {kind}" for key, kind in self.keys.items()]
+        if self.exactly_one:
+            words.append(f"one of {' and '.join(self.exactly_one)}*")
+        return ", ".join(words) + "  (* must be given)"
+
+
+def _force(**keys: Key) -> Section:
+    return Section({"law": Choice(tuple(LAWS)), **keys})
+
+
+LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear": LinearLaw, "exponential": ExponentialLaw}
+
+FORCE: dict[str, Section] = {
+    "fractional": _force(
+        k0=Quantity("N/m^2", POSITIVE), hs=Quantity("m", POSITIVE), r=Quantity("", NOT_NEGATIVE), kr=Quantity("")
+    ),
+    "linear": _force(
+        kt=Quantity("N/m^2", POSITIVE),
+        kr=Quantity(""),
+        ke=Quantity("N/m", NOT_NEGATIVE, required=False),
+        h0=Quantity("m", POSITIVE, required=False),
+    ),
+    "exponential": _force(
+        kf=Quantity(f"N/m^{EXPONENT}", POSITIVE),
+        m=Quantity("", Range(0, 1, closed=False)),
+        kr=Quantity(""),
+        h0=Quantity("m", POSITIVE, required=False),
+    ),
+}
+"""The keys of [force], which depend on the law."""
+
+SECTIONS: dict[str, Section] = {
+    "tool": Section({"diameter": Quantity("m", POSITIVE), "teeth": Whole(1)}),
+    "force": Section({"law": Choice(tuple(LAWS))}),
+    "cut": Section(
+        {
+            "spindle_speed": Quantity("rad/s", POSITIVE),
+            "feed_rate": Quantity("m/s", NOT_NEGATIVE, required=False),
+            # Not a leaf: the case holds the feed rate that follows from it.
+            "feed_per_tooth": Quantity("m", NOT_NEGATIVE, required=False, parameter=False),
+            "depth": Quantity("m", POSITIVE),
+            "start": Quantity("m", shape="point", required=False),
+        },
+        exactly_one=("feed_rate", "feed_per_tooth"),
+    ),
+    "stock": Section(
+        {
+            "x": Quantity("m", shape="interval", required=False, parameter=False),
+            "y": Quantity("m", shape="interval", required=False, parameter=False),
+        },
+        required=False,
+    ),
+    "structure": Section(
+        {
+            "axes": Choice(AXES, several=True),
+            "mass": Quantity("kg", POSITIVE, "array"),
+            "stiffness": Quantity("N/m", ANY, "array"),
+            "damping_ratio": Quantity("", NOT_NEGATIVE, "array", required=False),
+            "damping": Quantity("N s/m", NOT_NEGATIVE, "array", required=False),
+            "mode_shapes": Quantity("", ANY, "matrix", required=False),
+        },
+        exactly_one=("damping_ratio", "damping"),
+        required=False,
+    ),
+    "simulation": Section(
+        {
+            "duration": Quantity("s", POSITIVE, parameter=False),
+            "steps_per_tooth": Whole(10, required=False),
+            "passes": Whole(1, required=False),
+            "width": Quantity("m", NOT_NEGATIVE, required=False, parameter=False),
+            "blocks": Whole(1, required=False),
+            "sweeps": Whole(1, required=False),
+        }
+    ),
+}
+"""Every table of a case file. The keys of [force] are those of its law, in `FORCE`."""
+
+OTHER_TABLES = ("fit", "trace")
+"""Tables that a case file may hold for the package `identification`, which reads and checks them."""
