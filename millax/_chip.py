@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._math import minimum, positive_part
+from ._math import minimum
 from ._types import Scalar
 
 
@@ -30,7 +30,7 @@ class Angles(NamedTuple):
 
 
 class PastSurfaces(NamedTuple):
-    """What g_k takes from earlier passes: n . D_k and e . D_k without the present displacement, and the slope of the path."""
+    """What g_k takes from earlier passes: n . D_k and e . D_k without the present displacement, the slope of the path."""
 
     radial: Float[Array, "passes teeth m"]
     tangential: Float[Array, "passes teeth m"]
@@ -79,7 +79,3 @@ def thickness(
         g = minimum(g, gap, width)
     return g, rate
 
-
-def mean_positive(g, rate, step_angle, width):
-    """max(0, g), smoothed over `width` and averaged over the step, in which g changes by rate * step_angle."""
-    return positive_part(g, jnp.sqrt(width**2 + (rate * step_angle / 2) ** 2 + 1e-30))

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from ._chip import Angles
 from ._forces import ForceLaw
-from ._math import minimum
+from ._math import minimum, positive_part
 from ._types import Scalar
 
 _PARALLEL = 1e-3
@@ -53,29 +53,42 @@ def crossing(
     law: ForceLaw,
     borders: Borders,
     displacement: Float[Array, "2 m"],
-    thickness_at,
+    gap: Float[Array, "teeth m"],
+    rate: Float[Array, "teeth m"],
     step_angle: float,
     width: Scalar,
 ) -> Contact:
-    """Mean force and thickness over each step; `thickness_at(turn)` is h at an angle past the middle of the step."""
-    h = thickness_at(0.0)
+    """Mean force, thickness and place of contact in each step.
+
+    `gap` [m] is the thickness at the middle of the step, negative out of contact, and `rate` [m/rad] its change with the
+    tooth angle.
+    """
+    half = jnp.sqrt(width**2 + (rate * step_angle / 2) ** 2 + 1e-30)
+    h = positive_part(gap, half)
     if borders.normals.shape[0] == 0:
-        return Contact(law.tangential(h), h, jnp.zeros_like(h))
-    shift = borders.normals @ displacement
-    start = _nearest((borders.before - shift[:, None]) * borders.steepness + borders.exits * h, width)
-    end = _nearest((borders.after - shift[:, None]) * borders.steepness + borders.exits * h, width)
+        return Contact(_mean_force(law, gap, half), h, jnp.zeros_like(h))
+    shift = (borders.normals @ displacement)[:, None]
+    start = _nearest((borders.before - shift) * borders.steepness + borders.exits * h, width)
+    end = _nearest((borders.after - shift) * borders.steepness + borders.exits * h, width)
     # A step during which x hardly changes is widened to `width`: the mean stays defined, and is the value itself.
     length = jnp.sqrt((end - start) ** 2 + width**2 + 1e-24)
-    low, high = (start + end - length) / 2, (start + end + length) / 2
+    middle = (start + end) / 2
+    low, high = middle - length / 2, middle + length / 2
 
-    inside = (jnp.maximum(high, 0.0) - jnp.maximum(low, 0.0)) / length
-    turn = (1 - inside) / 2 * (end - start) / length * step_angle
-    h = thickness_at(turn)
     ramp_low, ramp_high = jnp.clip(low, 0.0, h), jnp.clip(high, 0.0, h)
-    full = jnp.maximum(high - h, 0.0) - jnp.maximum(low - h, 0.0)
-    force = (law.work(ramp_high) - law.work(ramp_low) + law.tangential(h) * full) / length
-    mean_thickness = ((ramp_high**2 - ramp_low**2) / 2 + h * full) / length
-    return Contact(force, mean_thickness, turn)
+    full_low, full_high = jnp.maximum(low, h), jnp.maximum(high, h)
+    full = full_high - full_low
+    area = (ramp_high**2 - ramp_low**2) / 2 + h * full
+    moment = (ramp_high**3 - ramp_low**3) / 3 + h * full * ((full_high + full_low) / 2)
+    centre = jnp.where(area > 0, moment / jnp.where(area > 0, area, 1.0) - middle, 0.0)
+    turn = centre * (end - start) / length**2 * step_angle
+    force = (law.work(ramp_low, ramp_high) + _mean_force(law, gap + rate * turn, half) * full) / length
+    return Contact(force, area / length, turn)
+
+
+def _mean_force(law: ForceLaw, gap, half):
+    """Mean of F_t over a thickness from gap - half to gap + half, 0 out of contact."""
+    return law.work(jnp.maximum(gap - half, 0.0), jnp.maximum(gap + half, 0.0)) / (2 * half)
 
 
 def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, "teeth m"]:
@@ -86,10 +99,10 @@ def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, 
     return nearest
 
 
-def plane_force(angles: Angles, contact: Contact, kr: Scalar, depth: Scalar) -> Float[Array, "2 m"]:
-    """Force on the tool in the plane, summed over the teeth (E 29) [N]."""
+def plane_force(angles: Angles, contact: Contact, kr: Scalar, depth: Scalar) -> tuple[Array, Array]:
+    """Forces on the tool along x and y, summed over the teeth (E 29) [N], each of shape (m,)."""
     cos = angles.cos - angles.sin * contact.turn
     sin = angles.sin + angles.cos * contact.turn
     tangential = depth * contact.tangential
     radial = kr * tangential
-    return jnp.stack([jnp.sum(tangential * sin - radial * cos, 0), jnp.sum(tangential * cos + radial * sin, 0)])
+    return jnp.sum(tangential * sin - radial * cos, axis=0), jnp.sum(tangential * cos + radial * sin, axis=0)

@@ -11,22 +11,32 @@ from ._structure import Structure
 from ._types import Scalar
 
 
-class BlockResponse(NamedTuple):
-    """Motion over a block of m steps = `free` @ (state at its start) + `forced` @ (mean force in each step).
+class Motion(NamedTuple):
+    """One motion over a block of m steps, from the state at its start and the mean in-plane force in each step."""
 
-    The state is (q, dt q'): with the velocity scaled by the step, all its entries have one unit and the exponentials are
-    well conditioned. Position and velocity are those of the tool in the plane at the middle of each step; forces are the
-    in-plane forces on the tool, constant within a step. Indices: a axis (x, y), j step, s state, l step of the force.
+    free: Float[Array, "... states"]
+    forced: Float[Array, "2 ... m"]
+
+    def __call__(self, state: Float[Array, " states"], force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Array:
+        # The two force components stay apart: joined, XLA would compute them in one loop that it cannot vectorise.
+        return self.free @ state + self.forced[0] @ force[0] + self.forced[1] @ force[1]
+
+
+class BlockResponse(NamedTuple):
+    """The motions of the tool that follow from the force over a block.
+
+    The state is (q, dt q'): with the velocity scaled by the step, all its entries have one unit. Positions and velocities
+    are those at the middle of each step.
     """
 
-    free_position: Float[Array, "2 m states"]
-    forced_position: Float[Array, "2 m 2 m"]
-    free_velocity: Float[Array, "2 m states"]
-    forced_velocity: Float[Array, "2 m 2 m"]
-    free_end: Float[Array, "states states"]
-    forced_end: Float[Array, "states 2 m"]
-    free_axes: Float[Array, "axes m states"]
-    forced_axes: Float[Array, "axes m 2 m"]
+    position: Motion
+    """In the plane, shape (2, m) [m]."""
+    velocity: Motion
+    """In the plane, shape (2, m) [m/s]."""
+    axes: Motion
+    """Position along the axes of the structure, shape (axes, m) [m]."""
+    end: Motion
+    """The state after the block, shape (states,)."""
 
 
 def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockResponse:
@@ -41,21 +51,21 @@ def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockRespons
         powers = jnp.concatenate([powers, powers @ (powers[-1] @ transition)])
 
     to_middle = half_transition @ powers[:steps]
-    # A force in step l acts on the middle of step j > l through (j - l - 1) whole steps and the half step before it.
+    # A force in step l acts on the middle of step j > l through the rest of its own step, j - l - 1 whole ones and a half.
     lagged = jnp.concatenate([half_input[None], to_middle[:-1] @ step_input])
     lag = np.arange(steps)[:, None] - np.arange(steps)[None, :]
-    causal = jnp.asarray(lag >= 0)[:, :, None, None]
-    forced = jnp.where(causal, lagged[np.maximum(lag, 0)], 0.0)  # (j, l, state, force axis)
+    forced = jnp.where((lag >= 0)[:, :, None, None], lagged[np.maximum(lag, 0)], 0.0)  # (step, step of force, state, 2)
 
     def observed(rows):
-        return jnp.einsum("as,jst->ajt", rows, to_middle), jnp.einsum("as,jlsb->ajbl", rows, forced)
+        return Motion(jnp.einsum("as,jst->ajt", rows, to_middle), jnp.einsum("as,jlsb->bajl", rows, forced))
 
-    zero = jnp.zeros((2, n))
-    position = jnp.concatenate([structure.in_plane_shapes, zero], axis=1)
-    velocity = jnp.concatenate([zero, structure.in_plane_shapes / dt], axis=1)
-    axes = jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)
-    forced_end = jnp.einsum("lst,tb->sbl", powers[:steps][::-1], step_input)
-    return BlockResponse(*observed(position), *observed(velocity), powers[steps], forced_end, *observed(axes))
+    still = jnp.zeros((2, n))
+    return BlockResponse(
+        position=observed(jnp.concatenate([structure.in_plane_shapes, still], axis=1)),
+        velocity=observed(jnp.concatenate([still, structure.in_plane_shapes / dt], axis=1)),
+        axes=observed(jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)),
+        end=Motion(powers[steps], jnp.einsum("lst,tb->bsl", powers[:steps][::-1], step_input)),
+    )
 
 
 def _discretise(structure: Structure, duration: Scalar, dt: Scalar):

@@ -1,9 +1,24 @@
 """Numerical settings: how the model is computed, never what it is."""
 
-import equinox as eqx
+import math
 
-from ._check import not_negative
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ._check import not_negative, positive
+from ._cut import Cut
+from ._forces import ForceLaw
+from ._response import block_response
+from ._structure import Structure
+from ._tool import EndMill
 from ._types import Scalar, as_number
+
+RESIDUAL_TOLERANCE = 1e-6
+"""Largest residual of a simulation that counts as converged."""
+
+STEPS_PER_MODE = 8
+"""Fewest time steps per period of the fastest mode."""
 
 
 class Settings(eqx.Module):
@@ -44,3 +59,79 @@ class Settings(eqx.Module):
     def steps(self) -> int:
         """Number of samples of every trace."""
         return self.periods * self.steps_per_tooth
+
+    @staticmethod
+    def suited(
+        tool: EndMill,
+        force: ForceLaw,
+        structure: Structure,
+        cut: Cut,
+        duration,
+        steps_per_tooth: int = 40,
+        passes: int = 3,
+        width=1e-6,
+        blocks: int | None = None,
+        sweeps: int | None = None,
+    ) -> "Settings":
+        """Settings for a simulation of at least `duration` [s], in whole tooth periods.
+
+        `blocks` and `sweeps` are chosen from the gain of the iteration force -> displacement -> force unless given. It
+        needs concrete numbers: call it outside `jit`. Raises `ValueError` where the steps cannot resolve the fastest mode
+        of the structure.
+        """
+        positive("simulation.duration", duration, "s")
+        period = float(cut.tooth_period(tool))
+        settings = Settings(
+            periods=math.ceil(float(duration) / period * (1 - 1e-12)),
+            steps_per_tooth=steps_per_tooth,
+            passes=passes,
+            width=width,
+        )
+        _require_resolved(structure, period, steps_per_tooth)
+        if blocks is None or sweeps is None:
+            blocks, sweeps = _cheapest(tool, force, structure, cut, settings, blocks, sweeps)
+        return Settings(settings.periods, steps_per_tooth, passes, blocks, sweeps, width)
+
+
+def _require_resolved(structure: Structure, period: float, steps_per_tooth: int) -> None:
+    n = structure.coordinates
+    if n == 0:
+        return
+    rates = np.block(
+        [
+            [np.zeros((n, n)), np.eye(n)],
+            [-np.linalg.solve(structure.mass_matrix, np.hstack([structure.stiffness_matrix, structure.damping_matrix]))],
+        ]
+    )
+    fastest = np.abs(np.linalg.eigvals(rates)).max()
+    needed = math.ceil(STEPS_PER_MODE * fastest * period / (2 * math.pi))
+    if steps_per_tooth < needed:
+        raise ValueError(
+            f"simulation.steps_per_tooth: {steps_per_tooth} given; the fastest mode of the structure "
+            f"({fastest / (2 * math.pi):.4g} Hz) needs at least {needed} ({STEPS_PER_MODE} steps per period of that mode)"
+        )
+
+
+def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[int, int]:
+    """Blocks per tooth period and sweeps per block that converge at the least cost.
+
+    One sweep multiplies the error of the force by at most kappa G, with kappa the force per displacement of the teeth in
+    contact (the secant of the law at the feed per tooth: thin chips are stiffer, but carry little force) and G the
+    response within the block. G is lower triangular, so its powers fall faster than geometrically; the change in sweep s
+    is about (kappa G)^(s - 1) of the force.
+    """
+    if structure.coordinates == 0:
+        return blocks or 1, sweeps or 1
+    steps = settings.steps_per_tooth
+    thickness = jnp.maximum(cut.feed_per_tooth(tool), settings.width)
+    in_contact = (tool.teeth + 1) // 2
+    kappa = float(in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2))
+    options = []
+    for parts in [blocks] if blocks else [p for p in range(1, steps + 1) if steps % p == 0 and p <= 16]:
+        response = block_response(structure, cut.tooth_period(tool) / steps, steps // parts).position.forced
+        gain = kappa * np.linalg.norm(np.asarray(response), axis=(0, 1))
+        count, power = 1, np.eye(len(gain))
+        while np.abs(power).sum(axis=1).max() > RESIDUAL_TOLERANCE and count < 30:
+            count, power = count + 1, power @ gain
+        options.append((parts * (5 + 1.2 * count) + 1.5 * count, parts, sweeps or count))  # microseconds, measured
+    return min(options)[1:]

@@ -8,8 +8,7 @@ the force feels the displacement within a block (`Settings.suited` chooses). Wha
 the residual.
 """
 
-import functools
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,14 +18,11 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ._case import Case
-from ._chip import Angles, mean_positive, past_surfaces, thickness
+from ._chip import Angles, past_surfaces, thickness
 from ._contact import Borders, crossing, plane_force
 from ._response import block_response
-from ._settings import Settings
+from ._settings import RESIDUAL_TOLERANCE
 from ._types import Scalar
-
-RESIDUAL_TOLERANCE = 1e-6
-"""Largest residual of a simulation that counts as converged."""
 
 STATUS = {
     0: "ok",
@@ -105,8 +101,8 @@ def _simulate(case: Case) -> Simulation:
     rigid = structure.coordinates == 0
 
     def block(state, inputs):
-        table, past_u, past_v, guess, travelled = inputs
-        past = past_surfaces(table.angles, past_u, past_v, feed_per_tooth, cut.feed_rate, tip_speed)
+        table, past_motion, guess, travelled = inputs
+        past = past_surfaces(table.angles, *past_motion, feed_per_tooth, cut.feed_rate, tip_speed)
         # The feed brings the stock nearer, or takes it away, by the same amount for every tooth and step.
         approach = (case.stock.normals[:, 0] * travelled)[:, None, None]
         borders = Borders(
@@ -114,38 +110,33 @@ def _simulate(case: Case) -> Simulation:
         )
 
         def cutting(u):
-            g, rate = thickness(table.angles, past, u, tool.radius, settings.width)
-
-            def thickness_at(turn):
-                return mean_positive(g + rate * turn, rate, step_angle, settings.width)
-
-            contact = crossing(law, borders, u, thickness_at, step_angle, settings.width)
+            gap, rate = thickness(table.angles, past, u, tool.radius, settings.width)
+            contact = crossing(law, borders, u, gap, rate, step_angle, settings.width)
             return plane_force(table.angles, contact, law.kr, cut.depth), contact.thickness
 
-        free = response.free_position @ state
-        force, change = guess, 0.0
-        for _ in range(1 if rigid else settings.sweeps):
-            previous = force
-            force, chip = cutting(free + jnp.einsum("ajbl,bl->aj", response.forced_position, force))
-            change = jnp.max(jnp.abs(force - previous))
-        u = free + jnp.einsum("ajbl,bl->aj", response.forced_position, force)
-        v = response.free_velocity @ state + jnp.einsum("ajbl,bl->aj", response.forced_velocity, force)
-        axes = response.free_axes @ state + jnp.einsum("ajbl,bl->aj", response.forced_axes, force)
-        state = response.free_end @ state + jnp.einsum("sbl,bl->s", response.forced_end, force)
-        return state, (u, v, force, axes, chip, jnp.zeros(()) if rigid else change)
+        def sweep(force, _):
+            return cutting(response.position(state, force))[0], None
+
+        # Unrolled while short: XLA runs straight code faster than a loop, and compiles a long loop faster.
+        previous, _ = lax.scan(sweep, guess, length=0 if rigid else settings.sweeps - 1, unroll=6)
+        force, chip = cutting(response.position(state, previous))
+        change = jnp.maximum(*(jnp.max(jnp.abs(new - old)) for new, old in zip(force, previous, strict=True)))
+        motion = (response.position(state, force), response.velocity(state, force))
+        traces = (jnp.stack(force), response.axes(state, force), chip)
+        return response.end(state, force), (motion, force, traces, jnp.zeros(()) if rigid else change)
 
     def period(carry, index):
-        state, past_u, past_v, guess = carry
+        state, past, guess = carry
         travelled = jnp.full(blocks, index * feed_per_tooth)
-        state, (u, v, force, axes, chip, change) = lax.scan(block, state, (tables, past_u, past_v, guess, travelled))
-        past_u = jnp.concatenate([u[:, None], past_u[:, :-1]], axis=1)
-        past_v = jnp.concatenate([v[:, None], past_v[:, :-1]], axis=1)
-        return (state, past_u, past_v, force), (force, axes, chip, jnp.max(change))
+        state, (motion, guess, traces, change) = lax.scan(block, state, (tables, past, guess, travelled))
+        # Per block: the newest pass in front, the oldest forgotten.
+        past = jax.tree.map(lambda new, old: jnp.concatenate([new[:, None], old[:, :-1]], axis=1), motion, past)
+        return (state, past, guess), (traces, jnp.max(change))
 
-    nothing = jnp.zeros((blocks, settings.passes, 2, m))
-    start = (jnp.zeros(2 * structure.coordinates), nothing, nothing, jnp.zeros((blocks, 2, m)))
+    rest = jnp.zeros((blocks, settings.passes, 2, m))
+    start = (jnp.zeros(2 * structure.coordinates), (rest, rest), (rest[:, 0, 0], rest[:, 0, 1]))
     index = jnp.arange(settings.periods, dtype=tau.dtype)
-    _, (force, axes, chip, change) = lax.scan(period, start, index)
+    _, ((force, axes, chip), change) = lax.scan(period, start, index)
 
     force = _trace(force)
     displacement = _trace(axes)
@@ -186,10 +177,11 @@ def _tables(case: Case, m: int) -> _Tables:
     cos, sin = jnp.asarray(np.cos(phi)), jnp.asarray(np.sin(phi))
     nx, ny = stock.normals.T[:, None, :, None, None]
     across = nx * cos[:, None] - ny * sin[:, None]
+    bulge = tool.radius * across * step_angle**2 / 12
     return _Tables(
         angles=Angles(cos, sin),
-        before=tip_inside(0),
-        after=tip_inside(1),
+        before=tip_inside(0) - bulge,
+        after=tip_inside(1) - bulge,
         steepness=1 / jnp.sqrt(across**2 + 1e-6),
         exits=jnp.where(across > 0, 1.0, 0.0),
     )
@@ -197,7 +189,8 @@ def _tables(case: Case, m: int) -> _Tables:
 
 def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "steps columns"]:
     """Blocks of traces, one row per column, as one array with time first."""
-    return jnp.moveaxis(blocks, 2, -1).reshape(-1, blocks.shape[2])
+    periods, per_period, columns, m = blocks.shape
+    return jnp.moveaxis(blocks, 2, 3).reshape(periods * per_period * m, columns)
 
 
 def _by_tooth(chip: Float[Array, "periods blocks teeth m"], teeth: int) -> Float[Array, "steps teeth"]:

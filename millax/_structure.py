@@ -1,15 +1,13 @@
 """What holds the tool: a linear mass-spring-damper, and its exact response over a block of time steps."""
 
-from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._check import concrete, finite, not_negative, positive
-from ._types import AXES, Matrix, Scalar, as_number
+from ._types import AXES, Matrix, as_number
 
 
 def _optional(value):
