@@ -1,0 +1,105 @@
+"""A trace beside a simulation: the model's channels at the trace's own sample times."""
+
+from collections.abc import Collection
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from millax import Case, Simulation
+from millax._types import AXES
+
+from ._traces import UNEVEN, Trace, TraceError
+
+PER_TOOTH = 4
+"""Fewest samples per tooth period: with fewer, the force of a tooth is not resolved."""
+
+PERIODS = 3
+"""Fewest tooth periods in a trace."""
+
+
+class Comparison(eqx.Module):
+    """One trace, ready to be compared with simulations of one case.
+
+    The sample j of a simulation belongs to the middle of its time step j. Between the samples the model is interpolated
+    linearly: second order in the step, as the simulation is, and differentiable also where the step depends on a free
+    spindle speed. Before the first and after the last sample it is continued by the half step they stand for.
+
+    Where the trace has the time stamps of the simulation, up to their rounding, `index` holds the samples to take as
+    they are; otherwise it is None.
+    """
+
+    time: Float[Array, " samples"]
+    measured: Float[Array, "samples channels"]
+    index: Int[Array, " samples"] | None
+    channels: tuple[str, ...] = eqx.field(static=True)
+
+    def predict(self, sim: Simulation) -> Float[Array, "samples channels"]:
+        """The model's channels [N, m] at the times of the trace."""
+        columns = [
+            sim.displacement[:, sim.axes.index(channel)] if channel in AXES else sim.force[:, "xyz".index(channel[1])]
+            for channel in self.channels
+        ]
+        model = jnp.stack(columns, axis=1)
+        if self.index is not None:
+            return model[self.index]
+        position = _position(self.time, sim.time)
+        before = jnp.clip(jnp.floor(position), 0, len(sim.time) - 2).astype(int)
+        weight = (position - before)[:, None]
+        return (1 - weight) * model[before] + weight * model[before + 1]
+
+    def covered(self, sim: Simulation) -> Bool[Array, ""]:
+        """Whether the simulation is long enough for the trace."""
+        return _position(self.time[-1], sim.time) <= len(sim.time) - 0.5 + UNEVEN
+
+
+def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Comparison:
+    """Check `trace` against `case`, in which the numbers `free_names` will vary.
+
+    Raises `TraceError` for a displacement in a direction in which the structure does not move, an axial force (straight
+    flutes have none), a trace sampled too coarsely or too short for the tooth period, and one that begins before the
+    simulation or ends after it.
+    """
+    for channel in trace.channels:
+        if channel in AXES and channel not in case.structure.axes:
+            moves = f"only along {', '.join(case.structure.axes)}" if case.structure.axes else "not at all: it is rigid"
+            raise TraceError(
+                f"{trace.name}: channel {channel}: the structure of the case moves {moves}. Leave the channel out, or "
+                "add the axis to the structure"
+            )
+        if channel == "Fz":
+            raise TraceError(f"{trace.name}: channel Fz: straight flutes have no axial force. Leave the channel out")
+    tooth_period = float(case.cut.tooth_period(case.tool))
+    step = tooth_period / case.settings.steps_per_tooth
+    if trace.step > tooth_period / PER_TOOTH * (1 + 1e-9):
+        raise TraceError(
+            f"{trace.name}: sampled every {trace.step:.4g} s, {tooth_period / trace.step:.2g} times per tooth period "
+            f"({tooth_period:.4g} s); at least {PER_TOOTH} are needed. Are spindle speed and unit of time right?"
+        )
+    length = len(trace.time) * trace.step
+    if length < PERIODS * tooth_period * (1 - 1e-9):
+        raise TraceError(
+            f"{trace.name}: {length:.4g} s long, {length / tooth_period:.2g} tooth periods; at least {PERIODS} "
+            f"({PERIODS * tooth_period:.4g} s) are needed"
+        )
+    position = _position(trace.time, (np.arange(2) + 0.5) * step)
+    if position[0] < -0.5 - UNEVEN:
+        raise TraceError(
+            f"{trace.name}: it begins at {trace.time[0]:.6g} s, before the simulation does at 0 s. Choose a window"
+        )
+    steps = case.settings.steps
+    if position[-1] > steps - 0.5 + UNEVEN:
+        raise TraceError(
+            f"{trace.name}: it ends at {trace.time[-1]:.6g} s, after the simulation does at {steps * step:.6g} s. "
+            "Raise simulation.duration, or choose a window"
+        )
+    nearest = np.rint(position)
+    aligned = "cut.spindle_speed" not in free_names and np.abs(position - nearest).max() <= UNEVEN
+    index = jnp.asarray(np.clip(nearest, 0, steps - 1), dtype=int) if aligned else None
+    return Comparison(jnp.asarray(trace.time), jnp.asarray(trace.values), index, trace.channels)
+
+
+def _position(time, model_time):
+    """`time` counted in samples of the model, whose first two are at `model_time[:2]`."""
+    return (time - model_time[0]) / (model_time[1] - model_time[0])
