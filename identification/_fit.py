@@ -1,0 +1,331 @@
+"""Fitting parameters of a case to traces: weighted least squares by Levenberg-Marquardt."""
+
+import importlib.metadata
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from millax import Case, simulate
+from millax._simulate import STATUS as SIMULATION_STATUS
+
+from ._compare import Comparison, compare
+from ._parameters import FreeParameters, Parameter, free
+from ._result import STATUS, Estimate, FitResult, TraceFit
+from ._solver import Steps
+from ._traces import Trace, TraceError
+from ._uncertainty import RANK, Uncertainty, at_bounds, insensitive, none_known, uncertainty
+
+CONVERGED = 1e-3
+"""The fit ends where the Gauss-Newton step left is this many standard errors long."""
+
+STALLED = 0.1
+"""Where the solver finds no better point, rounding allowed, this many standard errors still count as the optimum."""
+
+NOISE_ROUNDS = 10
+"""Most rounds of estimating the noise; two or three are usual."""
+
+NOISE_CHANGE = 1e-3
+"""Relative change of every estimated noise below which the rounds end."""
+
+NOISE_FLOOR = 1e-6
+"""Smallest noise claimed, relative to the channel's root mean square: the simulation is not more accurate than this."""
+
+TRY = "Start from a better guess, give bounds, or free fewer parameters."
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a fit is: `cost` is the mean square of the residuals over their noise, 1 for a perfect model."""
+
+    stage: str
+    iteration: int
+    cost: float
+    seconds: float
+
+
+def fit(
+    case: Case,
+    traces: Trace | Sequence[Trace],
+    parameters: Sequence[Parameter | str],
+    *,
+    max_iterations: int = 100,
+    progress: Callable[[Progress], None] | None = None,
+) -> FitResult:
+    """Find the parameters with which the simulated case is nearest to the traces.
+
+    The sum over channels of ((measured - model)/sigma)² is made smallest, which is maximum likelihood for independent
+    normal noise. Where the noise sigma of a channel is not known, it is estimated together with the parameters: fit and
+    sigma = root mean square of the residuals, in turns until nothing changes.
+
+    **Arguments:**
+
+    - `case`: the cut that was measured. Numbers that are not free are taken as they are.
+    - `traces`: one `Trace` or several of the same cut.
+    - `parameters`: `Parameter`s, or names of parameters to start from the case's own value.
+    - `max_iterations`: evaluations of model and Jacobian after which the fit gives up.
+    - `progress`: called with a `Progress` after every evaluation.
+
+    Returns a `FitResult`, also where there is no good answer: look at `success`, `status` and `message`. Ctrl-C ends a
+    fit with the best estimates so far.
+
+    Raises `ValueError` for parameters and traces that cannot be used, and where JAX is not set to float64.
+    """
+    if jnp.zeros(()).dtype != jnp.float64:
+        raise ValueError('a fit needs float64: call jax.config.update("jax_enable_x64", True) before anything else')
+    traces = [traces] if isinstance(traces, Trace) else list(traces)
+    if not traces:
+        raise ValueError("no trace given; a fit needs at least one")
+    numbers = free(case, [Parameter(p) if isinstance(p, str) else p for p in parameters])
+    comparisons = tuple(compare(trace, case, numbers.names) for trace in traces)
+    for trace in traces:
+        if len(trace.time) <= len(numbers):
+            raise TraceError(
+                f"{trace.name}: {len(trace.time)} samples for {len(numbers)} free parameters; give a longer trace"
+            )
+    return _Fit(case, traces, numbers, comparisons, max_iterations, progress or (lambda _: None)).run()
+
+
+class Evaluation(eqx.Module):
+    """Model and Jacobian at one point, all that least squares needs of them.
+
+    The residuals r = model - measured of channel c and their Jacobian J enter a fit only through the triangular factor
+    R_c of [J, r]: J^T J, J^T r and r^T r are those of R_c, whatever weight the channel gets afterwards.
+    """
+
+    triangles: Float[Array, "channels n+1 n+1"]
+    fitted: tuple[Float[Array, "samples channels"], ...]
+    status: Array
+    covered: Array
+
+
+@eqx.filter_jit
+def evaluate(case: Case, numbers: FreeParameters, comparisons: tuple[Comparison, ...], y: Array) -> Evaluation:
+    """The `Evaluation` of `case` with its free numbers at `y`."""
+
+    def model(y):
+        sim = simulate(numbers.insert(case, y), throw=False)
+        fitted = tuple(comparison.predict(sim) for comparison in comparisons)
+        covered = jnp.stack([comparison.covered(sim) for comparison in comparisons]).all()
+        return fitted, (fitted, sim.status, covered)
+
+    jacobians, (fitted, status, covered) = jax.jacfwd(model, has_aux=True)(y)
+    triangles = [
+        jnp.linalg.qr(jnp.column_stack([jacobian[:, c], (model - comparison.measured)[:, c]]), mode="r")
+        for comparison, model, jacobian in zip(comparisons, fitted, jacobians, strict=True)
+        for c in range(len(comparison.channels))
+    ]
+    return Evaluation(jnp.stack(triangles), fitted, status, covered)
+
+
+class _Failed(Exception):
+    """The fit cannot go on: a status and a message."""
+
+    def __init__(self, status: str, message: str):
+        super().__init__(message)
+        self.status = status
+        self.message = message
+
+
+class _Fit:
+    """The state of a running fit: where it is best, and with which noise."""
+
+    def __init__(self, case, traces, numbers, comparisons, max_iterations, progress):
+        self.case: Case = case
+        self.traces: list[Trace] = traces
+        self.numbers: FreeParameters = numbers
+        self.comparisons: tuple[Comparison, ...] = comparisons
+        self.max_iterations: int = max_iterations
+        self.progress: Callable[[Progress], None] = progress
+        self.begin = time.perf_counter()
+        self.iterations = 0
+        self.y = np.zeros(len(numbers))
+        self.best: Evaluation | None = None
+        self.samples = np.array([len(trace.time) for trace in traces for _ in trace.channels])
+        self.size = np.sqrt([np.mean(column**2) for trace in traces for column in trace.values.T])
+        known = [trace.noise.get(channel, np.nan) for trace in traces for channel in trace.channels]
+        self.estimated = np.isnan(known)
+        self.sigma = np.where(self.estimated, self.size, known)
+
+    def run(self) -> FitResult:
+        try:
+            self._start()
+            self._rounds()
+            status, message = "converged", ""
+        except KeyboardInterrupt:
+            status, message = "interrupted", "Stopped by the user; these are the best values so far."
+        except _Failed as failure:
+            status, message = failure.status, failure.message
+        if self.best is None and status == "interrupted":
+            raise KeyboardInterrupt
+        return self._result(status, message)
+
+    def _start(self) -> None:
+        self.progress(Progress("compiling", 0, np.nan, time.perf_counter() - self.begin))
+        first, failure = self._evaluate(self.y)
+        if failure:
+            raise _Failed("cannot_start", f"The simulation fails at the guess: {failure}. Guess nearer to the truth.")
+        self.best = first
+        dead = insensitive(self._whitened(first)[:, :-1])
+        if dead.any():
+            names = ", ".join(np.array(self.numbers.names)[dead])
+            raise _Failed(
+                "cannot_start",
+                f"At the guess the traces do not depend on {names}: nothing shows in which direction to go. Take "
+                "the parameter out of the fit, measure a channel that feels it, or guess where it matters.",
+            )
+
+    def _rounds(self) -> None:
+        # Damping starts at 1. Residuals per sample make that cautious, as is right far from the optimum; near it,
+        # residuals in units of the noise make it bold.
+        self._least_squares("fit", caution=np.sqrt(self.samples.sum()))
+        for number in range(1, NOISE_ROUNDS + 1):
+            if not self._update_noise():
+                return
+            self._least_squares(f"noise {number}", caution=1.0)
+        raise _Failed("not_converged", f"The estimated noise still changes after {NOISE_ROUNDS} rounds.")
+
+    def _least_squares(self, stage: str, caution: float) -> None:
+        """Go to the optimum for the present noise; the solver sees the residuals divided by `caution`."""
+        steps = Steps(self.y)
+        steps.tell(self._whitened(self._best()) / caution)
+        failure = None
+        while self._distance() > CONVERGED:
+            if steps.stalled:
+                if self._distance() > STALLED:
+                    why = f"; beyond it, {failure}" if failure else ""
+                    raise _Failed("not_converged", f"No step makes the fit better, yet this is no optimum{why}. {TRY}")
+                return
+            if self.iterations >= self.max_iterations:
+                raise _Failed("not_converged", f"No optimum after {self.iterations} iterations. {TRY}")
+            y = steps.proposal
+            evaluation, failure = self._evaluate(y)
+            if steps.tell(None if failure else self._whitened(evaluation) / caution):
+                self.y, self.best = y, evaluation
+            self._report(stage)
+
+    def _evaluate(self, y: np.ndarray) -> tuple[Evaluation, str | None]:
+        """The evaluation at `y`, and why it must not be used, if so."""
+        self.iterations += 1
+        evaluation = evaluate(self.case, self.numbers, self.comparisons, jnp.asarray(y))
+        status = int(evaluation.status)
+        if status:
+            return evaluation, SIMULATION_STATUS[status]
+        if not bool(evaluation.covered):
+            return evaluation, "the simulation ends before the trace does"
+        if not np.isfinite(evaluation.triangles).all():
+            return evaluation, "the traces or their derivatives are not finite"
+        return evaluation, None
+
+    def _whitened(self, evaluation: Evaluation) -> np.ndarray:
+        """The triangular factor of [J, r] over all channels, in units of the noise."""
+        rows = np.asarray(evaluation.triangles) / self.sigma[:, None, None]
+        return np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
+
+    def _distance(self) -> float:
+        """Length of the Gauss-Newton step in standard errors; parameters at their bounds go no further."""
+        whitened = self._whitened(self._best())
+        inner = ~at_bounds(self.numbers, self.y) & ~insensitive(whitened[:, :-1])
+        if not inner.any():
+            return 0.0
+        jacobian = whitened[:, :-1][:, inner]
+        basis, s, _ = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
+        return float(np.linalg.norm(basis[:, s > RANK * s[0]].T @ whitened[:, -1]))
+
+    def _update_noise(self) -> bool:
+        """Estimate the noise that is not known from the residuals; whether it changed."""
+        # The residuals have lost as many degrees of freedom as there are parameters.
+        total = self.samples.sum()
+        rms = np.linalg.norm(self._best().triangles[:, :, -1], axis=1) / np.sqrt(self.samples)
+        updated = np.maximum(rms * np.sqrt(total / (total - len(self.numbers))), NOISE_FLOOR * self.size)
+        updated = np.where(self.estimated, updated, self.sigma)
+        changed = bool((np.abs(updated / self.sigma - 1) > NOISE_CHANGE).any())
+        self.sigma = updated
+        return changed
+
+    def _report(self, stage: str) -> None:
+        cost = float(np.sum(self._whitened(self._best())[:, -1] ** 2) / self.samples.sum())
+        self.progress(Progress(stage, self.iterations, cost, time.perf_counter() - self.begin))
+
+    def _best(self) -> Evaluation:
+        assert self.best is not None
+        return self.best
+
+    def _result(self, status: str, message: str) -> FitResult:
+        numbers, y = self.numbers, self.y
+        if status == "converged":
+            known = uncertainty(numbers, y, self._whitened(self._best())[:, :-1])
+            status, message = _verdict(numbers, known)
+        else:
+            known = none_known(len(numbers), STATUS[status])
+        return FitResult(
+            status=status,
+            message=message,
+            parameters=_estimates(numbers, y, known),
+            correlation=known.correlation,
+            traces=self._trace_fits(),
+            case=numbers.insert(self.case, jnp.asarray(y)),
+            iterations=self.iterations,
+            seconds=time.perf_counter() - self.begin,
+            versions=versions(),
+        )
+
+    def _trace_fits(self) -> tuple[TraceFit, ...]:
+        if self.best is None:
+            return ()
+        sigma = iter(self.sigma)
+        return tuple(
+            TraceFit(trace, np.asarray(fitted), {channel: float(next(sigma)) for channel in trace.channels})
+            for trace, fitted in zip(self.traces, self.best.fitted, strict=True)
+        )
+
+
+def _verdict(numbers: FreeParameters, known: Uncertainty) -> tuple[str, str]:
+    """Status and message of a fit that reached an optimum."""
+    reasons = dict.fromkeys(reason for reason in known.reason if reason)
+    if not all(known.identifiable):
+        status = "not_identifiable"
+    elif any(known.at_bound):
+        status = "at_bound"
+    else:
+        return "converged", f"All {len(numbers)} parameters found."
+    return status, ". ".join(reason[0].upper() + reason[1:] for reason in reasons) + "."
+
+
+def _estimates(numbers: FreeParameters, y: np.ndarray, known: Uncertainty) -> tuple[Estimate, ...]:
+    values = np.asarray(numbers.values(jnp.asarray(y)))
+
+    def estimate(i: int) -> Estimate:
+        def shown(x):
+            return numbers.shown(i, float(x))
+
+        std, ci95, bounds = known.std[i], known.ci95[i], (numbers.low[i], numbers.high[i])
+        return Estimate(
+            name=numbers.names[i],
+            value=shown(values[i]),
+            unit=numbers.units[i],
+            std=None if std is None else shown(std),
+            ci95=None if ci95 is None else (shown(ci95[0]), shown(ci95[1])),
+            at_bound=known.at_bound[i],
+            identifiable=known.identifiable[i],
+            reason=known.reason[i],
+            guess=shown(numbers.guess[i]),
+            bounds=(
+                shown(bounds[0]) if np.isfinite(bounds[0]) else None,
+                shown(bounds[1]) if np.isfinite(bounds[1]) else None,
+            ),
+        )
+
+    return tuple(estimate(i) for i in range(len(numbers)))
+
+
+def versions() -> dict[str, str]:
+    """The programs that a fit rests on."""
+    packages = ("millax", "jax", "optimistix", "equinox", "numpy")
+    return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages}

@@ -1,0 +1,165 @@
+"""What a fit found, for programs and for files."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from millax import Case
+
+from ._traces import Trace
+
+STATUS = {
+    "converged": "every parameter is known",
+    "not_identifiable": "the traces do not determine every parameter",
+    "at_bound": "a bound decides a parameter, not the traces",
+    "not_converged": "the solver did not reach an optimum",
+    "interrupted": "stopped before the optimum",
+    "cannot_start": "there is nothing to start from at the guess",
+}
+"""The possible outcomes of a fit. Only "converged" is an answer to the whole question."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted parameter, its numbers in `unit`.
+
+    `std` and `ci95` are None where no uncertainty can be given; `reason` then says why.
+    """
+
+    name: str
+    value: float
+    unit: str
+    std: float | None
+    ci95: tuple[float, float] | None
+    at_bound: bool
+    identifiable: bool
+    reason: str | None
+    guess: float
+    bounds: tuple[float | None, float | None]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "value": self.value,
+            "unit": self.unit,
+            "std": self.std,
+            "ci95": self.ci95 and list(self.ci95),
+            "at_bound": self.at_bound,
+            "identifiable": self.identifiable,
+            "reason": self.reason,
+            "guess": self.guess,
+            "bounds": list(self.bounds),
+        }
+
+
+@dataclass(frozen=True)
+class TraceFit:
+    """A trace beside the fitted model.
+
+    **Attributes:**
+
+    - `trace`: the measurement.
+    - `fitted`: the model at the sample times [N, m], shape (samples, channels).
+    - `sigma`: standard deviation of the noise per channel [N, m], known or estimated.
+    """
+
+    trace: Trace
+    fitted: np.ndarray
+    sigma: Mapping[str, float]
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Measured - fitted [N, m], shape (samples, channels)."""
+        return self.trace.values - self.fitted
+
+    @property
+    def r2(self) -> dict[str, float | None]:
+        """1 - (residual sum of squares)/(sum of squares about the mean) per channel; None for a constant channel."""
+        about_mean = ((self.trace.values - self.trace.values.mean(0)) ** 2).sum(0)
+        unexplained = (self.residuals**2).sum(0)
+        return {
+            channel: float(1 - u / a) if a > 0 else None
+            for channel, u, a in zip(self.trace.channels, unexplained, about_mean, strict=True)
+        }
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root mean square of the residuals per channel [N, m]."""
+        rms = np.sqrt((self.residuals**2).mean(0))
+        return {channel: float(x) for channel, x in zip(self.trace.channels, rms, strict=True)}
+
+    def to_json(self) -> dict[str, Any]:
+        shown = self.trace.shown
+        return {
+            "name": self.trace.name,
+            "samples": len(self.trace.time),
+            "r2": {channel: _finite(x) for channel, x in self.r2.items()},
+            "rmse": {channel: _finite(shown(channel, x)) for channel, x in self.rmse.items()},
+            "noise": {channel: _finite(shown(channel, x)) for channel, x in self.sigma.items()},
+            "noise_estimated": [channel for channel in self.trace.channels if channel not in self.trace.noise],
+            "units": {channel: self.trace.unit(channel) for channel in self.trace.channels},
+        }
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The outcome of a fit.
+
+    **Attributes:**
+
+    - `status`: a key of `identification.STATUS`; "converged" is the good one.
+    - `message`: the outcome in words, with what to try.
+    - `parameters`: the estimates, in the order asked for.
+    - `correlation`: of the estimates, shape (n, n); NaN where no uncertainty can be given.
+    - `traces`: each trace beside the fitted model.
+    - `case`: the case with the estimates in it.
+    - `iterations`: evaluations of model and Jacobian.
+    - `seconds`: wall time, compilation included.
+    - `versions`: of the programs that made it.
+    - `seed`: of random numbers; None, this fit draws none.
+    """
+
+    status: str
+    message: str
+    parameters: tuple[Estimate, ...]
+    correlation: np.ndarray
+    traces: tuple[TraceFit, ...]
+    case: Case
+    iterations: int
+    seconds: float
+    versions: Mapping[str, str]
+    seed: int | None = None
+
+    @property
+    def success(self) -> bool:
+        """Whether the whole question is answered."""
+        return self.status == "converged"
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of the parameter called `name`."""
+        for estimate in self.parameters:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(f"{name} was not free; free were {', '.join(e.name for e in self.parameters)}")
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `result.json`: plain dictionaries, lists and numbers, None for what is not known."""
+        return {
+            "status": self.status,
+            "message": self.message,
+            "parameters": [estimate.to_json() for estimate in self.parameters],
+            "correlation": [[_finite(x) for x in row] for row in self.correlation],
+            "traces": [trace.to_json() for trace in self.traces],
+            "iterations": self.iterations,
+            "seconds": round(self.seconds, 3),
+            "versions": dict(self.versions),
+            "seed": self.seed,
+        }
+
+
+def _finite(x: float | None) -> float | None:
+    """JSON has no NaN."""
+    return float(x) if x is not None and math.isfinite(x) else None

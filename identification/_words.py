@@ -1,0 +1,30 @@
+"""Numbers as a person writes them."""
+
+import math
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """`value` with so many significant digits: 0.01800, 5000, 4.970·10⁹."""
+    if not math.isfinite(value) or value == 0:
+        return f"{value:g}"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 6:
+        return f"{value:.{max(digits - 1 - exponent, 0)}f}"
+    return f"{value / 10.0**exponent:.{digits - 1}f}{power(exponent)}"
+
+
+def with_error(value: float, std: float | None) -> str:
+    """`value ± std`, both to the second digit of the standard error; the value alone where there is none."""
+    if std is None or not std > 0 or not math.isfinite(std):
+        return plain(value)
+    largest = math.floor(math.log10(max(abs(value), std)))
+    exponent = 0 if -4 <= largest < 6 else largest
+    scale = 10.0**exponent
+    decimals = max(exponent - math.floor(math.log10(std)) + 1, 0)
+    numbers = f"{value / scale:.{decimals}f} ± {std / scale:.{decimals}f}"
+    return f"({numbers}){power(exponent)}" if exponent else numbers
+
+
+def power(exponent: int) -> str:
+    """A power of ten: ·10⁻⁶."""
+    return "·10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
