@@ -1,0 +1,84 @@
+"""The command `millax`.
+
+Exit codes: 0 done; 1 the answer is "no" (a simulation that must not be used, a fit that has not converged); 2 bad input;
+130 interrupted.
+"""
+
+import argparse
+import importlib.metadata
+import sys
+from collections.abc import Sequence
+
+import jax
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line (default: that of the process) and return its exit code."""
+    arguments = _parser().parse_args(argv)
+    jax.config.update("jax_enable_x64", True)
+
+    from millax import CaseError, SimulationError
+
+    from ._output import complain
+    from ._traces import TraceError
+
+    try:
+        return arguments.run(arguments)
+    except (CaseError, TraceError) as error:
+        complain(str(error))
+        return 2
+    except OSError as error:
+        complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return 2
+    except SimulationError as error:
+        complain(f"{arguments.case}: {error}")
+        return 1
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="millax", description="A differentiable model of robotic milling.")
+    parser.add_argument("--version", action="version", version=f"millax {importlib.metadata.version('millax')}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    simulate = commands.add_parser(
+        "simulate",
+        help="simulate a cut",
+        description="Simulate the cut that a case file describes. Writes trace.csv, summary.json and trace.png.",
+    )
+    _add_paths(simulate)
+    simulate.add_argument("--chip-thickness", action="store_true", help="add the chip thickness of every tooth")
+    simulate.set_defaults(run=_simulate)
+
+    fit = commands.add_parser(
+        "fit",
+        help="identify parameters from measured traces",
+        description="Fit the parameters named in the [fit] table of a case file to its traces. Writes result.json, "
+        "fitted.toml (the case with the estimates in it) and report.html.",
+    )
+    _add_paths(fit)
+    fit.set_defaults(run=_fit)
+    return parser
+
+
+def _add_paths(command: argparse.ArgumentParser) -> None:
+    command.add_argument("case", metavar="CASE.toml", help="the case file")
+    command.add_argument("--out", metavar="DIR", required=True, help="directory for the results; made if need be")
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from ._simulate_command import run_simulate
+
+    return run_simulate(arguments.case, arguments.out, chip_thickness=arguments.chip_thickness)
+
+
+def _fit(arguments: argparse.Namespace) -> int:
+    from ._command import run_fit
+
+    return run_fit(arguments.case, arguments.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
