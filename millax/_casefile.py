@@ -17,7 +17,7 @@ from ._settings import Settings
 from ._stock import Stock
 from ._structure import Structure
 from ._tool import EndMill
-from ._units import UnitError, parse, show
+from ._units import EXPONENT, UnitError, parse, show
 
 
 class CaseError(ValueError):
@@ -106,7 +106,9 @@ class CaseFile:
 
         Comments, layout and everything else stay as they are. Raises `CaseError` for a name that is no leaf.
         """
-        return rewrite(self.text, {self.leaf(name): value for name, value in values.items()})
+        # An open exponent may be among the values: a number whose unit has one is written anew in any case.
+        open_ended = {leaf: leaf.value for leaf in self.leaves.values() if EXPONENT in leaf.si_unit}
+        return rewrite(self.text, open_ended | {self.leaf(name): value for name, value in values.items()})
 
 
 def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:
@@ -158,10 +160,11 @@ def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
             raise ValueError(f"[{name}] is not a table of a case file.{hint}\n  Tables: {', '.join(SECTIONS)}")
         if not isinstance(table, Mapping):
             raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
-    force = tables.get("force", {})
-    if "law" not in force:
+    if "force" not in tables:
         return SECTIONS
-    law = SECTIONS["force"].keys["law"].read("force.law", force["law"], force)
+    if "law" not in tables["force"]:
+        raise ValueError(f"force.law is missing.\n  [force] takes: {SECTIONS['force']} and the keys of the law")
+    law = SECTIONS["force"].keys["law"].read("force.law", tables["force"]["law"], tables["force"])
     return SECTIONS | {"force": FORCE[str(law)]}
 
 

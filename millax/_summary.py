@@ -46,7 +46,7 @@ DEFINITIONS = {
 def summarize(sim: Simulation, case: Case) -> dict[str, dict[str, Any]]:
     """What the papers tabulate of a simulated cut.
 
-    **Returns:** `{"static_displacement.x": {"value": 1.3e-4, "unit": "m", "definition": "..."}, ...}`, every quantity of
+    **Returns:** `{"static_displacement.x": {"value": 1.3e-4, "unit": "m", "definition": "..."}, ...}`, every one of
     `DEFINITIONS` for x and y (also z if the tool moves in z), forces for x, y and z. A quantity that this trace does
     not define has the value None and says why under "reason".
     """
