@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from ._case import Case
-from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Quantity, Section
+from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Section
 from ._caseleaves import Leaf, leaves, rewrite
 from ._cut import Cut
 from ._settings import Settings
 from ._stock import Stock
 from ._structure import Structure
 from ._tool import EndMill
-from ._units import EXPONENT, UnitError, parse, show
+from ._units import EXPONENT, show
 
 
 class CaseError(ValueError):
@@ -87,19 +87,6 @@ class CaseFile:
                 f"  Its numbers: {', '.join(self.leaves)}"
             )
         return self.leaves[name]
-
-    def read_as(self, name: str, key: str, value: Any) -> float:
-        """`value` (text with a unit, or a bare SI number) as a number for the leaf `name`, in SI.
-
-        `key` names the value in messages. Raises `CaseError`.
-        """
-        section, key_in_section = self.leaf(name).field
-        kind = _sections(self.tables)[section].keys[key_in_section]
-        assert isinstance(kind, Quantity)
-        try:
-            return parse(key, *kind.resolved(value, self.tables[section]))
-        except UnitError as error:
-            raise CaseError(f"{self.source}: {error}") from None
 
     def with_values(self, values: Mapping[str, float]) -> str:
         """The file's text with other numbers: SI values by leaf name, written in the units of the file.

@@ -238,13 +238,6 @@ def test_an_unknown_leaf_is_an_error_with_the_nearest_name():
         case_file().with_values({"structure.stiffness": 1.0})
 
 
-def test_values_for_a_leaf_are_read_in_any_unit_of_its_kind():
-    file = case_file()
-    assert file.read_as("force.k0", "fit.force.k0.guess", "6 GPa") == pytest.approx(6e9)
-    with pytest.raises(mx.CaseError, match=r'cut\.toml: fit\.force\.k0\.guess: "6 mm" given'):
-        file.read_as("force.k0", "fit.force.k0.guess", "6 mm")
-
-
 def test_new_values_are_written_in_the_units_of_the_file_and_nothing_else_changes():
     file = case_file()
     text = file.with_values(
