@@ -18,8 +18,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ._case import Case
-from ._chip import Angles, past_surfaces, thickness
-from ._contact import Borders, crossing, plane_force
+from ._block import Process, cutting, solve
+from ._chip import Angles, past_surfaces
+from ._contact import Borders
 from ._response import block_response
 from ._settings import RESIDUAL_TOLERANCE
 from ._types import Scalar
@@ -109,18 +110,11 @@ def _simulate(case: Case) -> Simulation:
             case.stock.normals, table.before - approach, table.after - approach, table.steepness, table.exits
         )
 
-        def cutting(u):
-            gap, rate = thickness(table.angles, past, u, tool.radius, settings.width)
-            contact = crossing(law, borders, u, gap, rate, step_angle, settings.width)
-            return plane_force(table.angles, contact, law.kr, cut.depth), contact.thickness
-
-        def sweep(force, _):
-            return cutting(response.position(state, force))[0], None
-
-        # Unrolled while short: XLA runs straight code faster than a loop, and compiles a long loop faster.
-        previous, _ = lax.scan(sweep, guess, length=0 if rigid else settings.sweeps - 1, unroll=6)
-        force, chip = cutting(response.position(state, previous))
-        change = jnp.maximum(*(jnp.max(jnp.abs(new - old)) for new, old in zip(force, previous, strict=True)))
+        process = Process(
+            law, table.angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle
+        )
+        force, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
+        _, chip = cutting(process, response.position(state, force))
         motion = (response.position(state, force), response.velocity(state, force))
         traces = (jnp.stack(force), response.axes(state, force), chip)
         return response.end(state, force), (motion, force, traces, jnp.zeros(()) if rigid else change)
