@@ -78,4 +78,3 @@ def thickness(
     for gap, _ in earlier:
         g = minimum(g, gap, width)
     return g, rate
-

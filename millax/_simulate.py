@@ -17,8 +17,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ._case import Case
 from ._block import Process, cutting, solve
+from ._case import Case
 from ._chip import Angles, past_surfaces
 from ._contact import Borders
 from ._response import block_response
@@ -106,13 +106,9 @@ def _simulate(case: Case) -> Simulation:
         past = past_surfaces(table.angles, *past_motion, feed_per_tooth, cut.feed_rate, tip_speed)
         # The feed brings the stock nearer, or takes it away, by the same amount for every tooth and step.
         approach = (case.stock.normals[:, 0] * travelled)[:, None, None]
-        borders = Borders(
-            case.stock.normals, table.before - approach, table.after - approach, table.steepness, table.exits
-        )
+        borders = Borders(case.stock.normals, table.before - approach, table.after - approach, table.steepness, table.exits)
 
-        process = Process(
-            law, table.angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle
-        )
+        process = Process(law, table.angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle)
         force, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
         _, chip = cutting(process, response.position(state, force))
         motion = (response.position(state, force), response.velocity(state, force))

@@ -42,9 +42,7 @@ class Stock(eqx.Module):
         for axis, name, (low, high) in ((0, "x", x), (1, "y", y)):
             ends = concrete(low), concrete(high)
             if low is not None and high is not None and None not in ends and not ends[0] < ends[1]:
-                raise ValueError(
-                    f"stock.{name}: from {ends[0]:g} m to {ends[1]:g} m given; the first must be the smaller"
-                )
+                raise ValueError(f"stock.{name}: from {ends[0]:g} m to {ends[1]:g} m given; the first must be the smaller")
             for sign, border in ((-1.0, low), (1.0, high)):
                 if border is not None:
                     normals.append([sign if i == axis else 0.0 for i in range(2)])

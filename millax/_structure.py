@@ -1,6 +1,5 @@
 """What holds the tool: a linear mass-spring-damper, and its exact response over a block of time steps."""
 
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -45,9 +44,7 @@ class Structure(eqx.Module):
     def __check_init__(self):
         order = [AXES.index(a) if a in AXES else -1 for a in self.axes]
         if -1 in order or order != sorted(set(order)):
-            raise ValueError(
-                f"structure.axes: {list(self.axes)} given; use each of x, y, z at most once, in this order"
-            )
+            raise ValueError(f"structure.axes: {list(self.axes)} given; use each of x, y, z at most once, in this order")
         if (self.damping is None) == (self.damping_ratio is None):
             raise ValueError("structure: give damping or damping_ratio, and only one of them")
         if self.mode_shapes is not None and self.mode_shapes.shape[:-1] != (len(self.axes),):
@@ -74,9 +71,7 @@ class Structure(eqx.Module):
             finite("structure.mass", self.mass, "kg")
             mass = concrete(self.mass)
             if mass is not None and np.linalg.eigvalsh((mass + mass.T) / 2).min() <= 0:
-                raise ValueError(
-                    "structure.mass: the matrix is not positive definite; every eigenvalue must exceed 0 kg"
-                )
+                raise ValueError("structure.mass: the matrix is not positive definite; every eigenvalue must exceed 0 kg")
         for name, value, unit in (("damping", self.damping, "N s/m"), ("damping_ratio", self.damping_ratio, "")):
             if value is not None:
                 (not_negative if value.ndim < 2 else finite)(f"structure.{name}", value, unit)
