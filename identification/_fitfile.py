@@ -81,7 +81,7 @@ def _question(file: CaseFile) -> tuple[tuple[Parameter, ...], dict[str, float]]:
     known = valid_names(file.case)
     asked = dict(_flat("fit.free", tables.get("free", {}), known))
     truth = {name: read_value(file.case, name, value) for name, value in _flat("fit.truth", tables.get("truth", {}), known)}
-    return tuple(_parameter(name, given) for name, given in asked.items()), truth
+    return tuple(_parameter(file, name, given) for name, given in asked.items()), truth
 
 
 def _flat(table: str, given: Any, known: Collection[str], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -96,7 +96,7 @@ def _flat(table: str, given: Any, known: Collection[str], prefix: str = "") -> I
             yield name, value
 
 
-def _parameter(name: str, given: Any) -> Parameter:
+def _parameter(file: CaseFile, name: str, given: Any) -> Parameter:
     if not isinstance(given, Mapping):
         return Parameter(name, guess=given)
     _check_keys(f"fit.free.{name}", given, _FREE_KEYS)
@@ -104,7 +104,9 @@ def _parameter(name: str, given: Any) -> Parameter:
     if not isinstance(bounds, list) or len(bounds) != 2:
         raise ValueError(f'bounds of {name}: {show(bounds)} given; they are two, "none" where there is none')
     low, high = (None if bound == "none" else bound for bound in bounds)
-    return Parameter(name, guess=given.get("guess"), bounds=(low, high))
+    # Without a guess the number is the file's own, and so is its unit.
+    unit = file.leaves[name].unit if "guess" not in given and name in file.leaves else None
+    return Parameter(name, guess=given.get("guess"), bounds=(low, high), unit=unit)
 
 
 def _sources(file: CaseFile) -> list[dict[str, Any]]:
