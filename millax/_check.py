@@ -4,13 +4,13 @@ Inside `jit`, `grad` or `vmap` a leaf has no value to look at: these checks then
 reports what went wrong (see `millax.Simulation`).
 """
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 
 def concrete(value) -> np.ndarray | None:
     """`value` as a NumPy array, or None where it is traced, abstract or not a number."""
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return None
     try:
         return np.asarray(value, dtype=float)

@@ -40,9 +40,9 @@ class Stock(eqx.Module):
         """
         normals, offsets = [], []
         for axis, name, (low, high) in ((0, "x", x), (1, "y", y)):
-            ends = concrete(low), concrete(high)
-            if low is not None and high is not None and None not in ends and not ends[0] < ends[1]:
-                raise ValueError(f"stock.{name}: from {ends[0]:g} m to {ends[1]:g} m given; the first must be the smaller")
+            start, end = (None if side is None else concrete(side) for side in (low, high))
+            if start is not None and end is not None and not start < end:
+                raise ValueError(f"stock.{name}: from {start:g} m to {end:g} m given; the first must be the smaller")
             for sign, border in ((-1.0, low), (1.0, high)):
                 if border is not None:
                     normals.append([sign if i == axis else 0.0 for i in range(2)])

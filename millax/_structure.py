@@ -101,6 +101,7 @@ class Structure(eqx.Module):
         """C [N s/m]."""
         if self.damping is not None:
             return _matrix(self.damping, self.coordinates)
+        assert self.damping_ratio is not None  # exactly one of the two is given
         product = self.stiffness_matrix * self.mass_matrix
         ratio = _matrix(self.damping_ratio, self.coordinates)
         # sqrt has no derivative at 0: entries without stiffness or mass carry no damping, and no gradient.
