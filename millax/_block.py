@@ -4,9 +4,9 @@ Given the surfaces left by earlier passes, the force in each step is a function 
 (`cutting`), and the displacement follows from the forces by the response of the structure. Fixed-point sweeps, force ->
 displacement -> force, solve the two together. The map is strictly causal, so they always converge.
 
-Derivatives are not taken through the sweeps. At the solution f = F(u(f, p), p), so df = F_p dp + F_u (u_p dp + G df) with G the
-response matrix; F_u couples only the two axes of one step, so it is found from two directional derivatives, and the linear
-equation for df is swept like the force itself. This costs one differentiation of `cutting` however many sweeps there are.
+Derivatives are not taken through the sweeps. At the solution f = F(u(f, p), p), so df = F_p dp + F_u (u_p dp + G df) with
+G the response matrix. F_u couples only the two axes of one step, so two directional derivatives give all of it, and the
+linear equation for df is swept like the force itself: one differentiation of `cutting`, however many sweeps there are.
 """
 
 import equinox as eqx

@@ -15,7 +15,7 @@ from ._tool import EndMill
 from ._types import Scalar, as_number
 
 RESIDUAL_TOLERANCE = 1e-6
-"""Largest residual of a simulation that counts as converged."""
+"""Largest residual of a simulation in float64 that counts as converged."""
 
 STEPS_PER_MODE = 8
 """Fewest time steps per period of the fastest mode."""

@@ -8,7 +8,8 @@ the force feels the displacement within a block (`Settings.suited` chooses). Wha
 the residual.
 """
 
-from typing import NamedTuple
+import warnings
+from typing import NamedTuple, overload
 
 import equinox as eqx
 import jax
@@ -21,8 +22,13 @@ from ._block import Process, cutting, solve
 from ._case import Case
 from ._chip import Angles, past_surfaces
 from ._contact import Borders
+from ._cut import Cut
+from ._forces import ForceLaw
 from ._response import block_response
-from ._settings import RESIDUAL_TOLERANCE
+from ._settings import RESIDUAL_TOLERANCE, Settings
+from ._stock import Stock
+from ._structure import Structure
+from ._tool import EndMill
 from ._types import Scalar
 
 STATUS = {
@@ -61,19 +67,49 @@ class Simulation(eqx.Module):
     axes: tuple[str, ...] = eqx.field(static=True)
 
 
-def simulate(case: Case, *, throw: bool = True) -> Simulation:
+@overload
+def simulate(case: Case, /, *, throw: bool = True) -> Simulation: ...
+
+
+@overload
+def simulate(
+    tool: EndMill,
+    force: ForceLaw,
+    structure: Structure,
+    cut: Cut,
+    stock: Stock,
+    settings: Settings,
+    /,
+    *,
+    throw: bool = True,
+) -> Simulation: ...
+
+
+def simulate(*parts, throw: bool = True) -> Simulation:
     """Simulate a cut.
 
     **Arguments:**
 
-    - `case`: a `Case`.
+    - A `Case`, or the objects it is made of: tool, force law, structure, cut, stock, settings.
     - `throw`: raise `SimulationError` when the result must not be used. Under `jit`, `grad` or `vmap` nothing can be
       raised: look at `Simulation.status` there.
+
+    Warns when it runs in float32 (JAX's default): forces are then good to about 1e-3.
     """
+    if len(parts) == 1:
+        (case,) = parts
+    else:
+        tool, force, structure, cut, stock, settings = parts
+        case = Case(tool, force, cut, stock, structure, settings)
     sim = _simulate(case)
-    if throw and not isinstance(sim.status, jax.core.Tracer):
+    if not isinstance(sim.status, jax.core.Tracer):
+        if sim.force.dtype == jnp.float32:
+            warnings.warn(
+                'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else',
+                stacklevel=2,
+            )
         status = int(sim.status)
-        if status:
+        if throw and status:
             raise SimulationError(f"{STATUS[status]} (residual {float(sim.residual):.1e})")
     return sim
 
@@ -134,7 +170,8 @@ def _simulate(case: Case) -> Simulation:
     residual = jnp.max(change) / jnp.where(largest > 0, largest, 1.0)
     finite = jnp.isfinite(largest) & jnp.all(jnp.isfinite(displacement))
     strayed = jnp.any(jnp.abs(displacement) > tool.radius)
-    status = jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual > RESIDUAL_TOLERANCE, 1, 0)))
+    tolerance = max(RESIDUAL_TOLERANCE, 32 * float(jnp.finfo(force.dtype).eps))
+    status = jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual > tolerance, 1, 0)))
     return Simulation(
         time=(jnp.arange(settings.steps) + 0.5) * (tau / steps),
         force=jnp.pad(force, ((0, 0), (0, 1))),

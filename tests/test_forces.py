@@ -1,0 +1,56 @@
+import jax
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import millax as mx
+
+LAWS = {
+    "linear": mx.LinearLaw(kt=8e8, kr=0.3, ke=1.2e4),
+    "exponential": mx.ExponentialLaw(kf=3e6, m=0.7, kr=0.3),
+    "fractional": mx.FractionalLaw(k0=5e9, hs=18e-6, r=0.1, kr=0.3),
+}
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1e-4), (2e-5, 2.1e-5), (0.0, 1e-9), (3e-5, 3e-5)])
+def test_work_is_the_integral_of_the_force(law, low, high):
+    expected, _ = quad(lambda h: float(law.tangential(h)), low, high, epsabs=0, epsrel=1e-12)
+    assert float(law.work(low, high)) == pytest.approx(expected, rel=1e-9, abs=1e-20)
+
+
+def test_fractional_slopes_are_the_ones_that_define_it():
+    law = LAWS["fractional"]
+    slope = jax.grad(law.tangential)
+    assert float(slope(1e-12)) == pytest.approx(5e9, rel=1e-6)
+    assert float(slope(1.0)) == pytest.approx(0.1 * 5e9, rel=1e-6)
+
+
+def test_published_formulas():
+    h = 5e-5
+    assert float(LAWS["linear"].tangential(h)) == pytest.approx(8e8 * h + 1.2e4)
+    assert float(LAWS["exponential"].tangential(h)) == pytest.approx(3e6 * h**0.7)
+    u = h / 18e-6
+    assert float(LAWS["fractional"].tangential(h)) == pytest.approx(5e9 * 18e-6 * (u + 0.1 * u**2) / (1 + u))
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+def test_gradients_of_the_work_are_finite_out_of_contact(law):
+    for low, high in ((0.0, 0.0), (0.0, 1e-6)):
+        gradient = jax.grad(lambda leaves, low, high: leaves.work(low, high), argnums=(0, 1, 2))(law, low, high)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: mx.LinearLaw(kt=-1.0, kr=0.3), "force.kt: -1 N/m^2 given; it must be greater than 0"),
+        (lambda: mx.LinearLaw(kt=1.0, kr=0.3, ke=-2.0), "force.ke: -2 N/m given"),
+        (lambda: mx.ExponentialLaw(kf=1.0, m=0.0, kr=0.3), "force.m: 0 given"),
+        (lambda: mx.FractionalLaw(5e9, 0.0, 0.1, 0.3), "force.hs: 0 m given"),
+        (lambda: mx.FractionalLaw(5e9, 18e-6, 0.1, float("nan")), "force.kr: nan given; it must be a finite number"),
+    ],
+)
+def test_bad_coefficients_are_named(make, message):
+    with pytest.raises(ValueError, match=message.replace("^", r"\^")):
+        make()

@@ -1,0 +1,119 @@
+"""Derivatives of the traces: forward = reverse = central differences, and finite where the model has kinks."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ENDLESS, slot
+
+import millax as mx
+
+LEAVES = {
+    "force.k0": lambda c: c.force.k0,
+    "force.hs": lambda c: c.force.hs,
+    "force.r": lambda c: c.force.r,
+    "force.kr": lambda c: c.force.kr,
+    "structure.mass.x": lambda c: c.structure.mass,
+    "structure.stiffness": lambda c: c.structure.stiffness,
+    "structure.damping_ratio": lambda c: c.structure.damping_ratio,
+    "cut.spindle_speed": lambda c: c.cut.spindle_speed,
+    "cut.feed_rate": lambda c: c.cut.feed_rate,
+    "cut.depth": lambda c: c.cut.depth,
+    "tool.diameter": lambda c: c.tool.diameter,
+}
+
+
+def traces(case):
+    """Force and displacement, each over its own size."""
+    sim = mx.simulate(case, throw=False)
+    return jnp.concatenate([sim.force[:, :2].ravel() / 100, sim.displacement.ravel() / 1e-5])
+
+
+@pytest.fixture(scope="module")
+def routes():
+    """Traces as a function of factors on all leaves, their Jacobian forwards, and a random projection of it backwards."""
+    case = slot(duration=0.015, sweeps=7)
+    values = [leaf(case) for leaf in LEAVES.values()]
+
+    def scaled(factors):
+        return traces(
+            eqx.tree_at(
+                lambda c: [leaf(c) for leaf in LEAVES.values()],
+                case,
+                [v * f for v, f in zip(values, factors, strict=True)],
+            )
+        )
+
+    one = jnp.ones(len(LEAVES))
+    forward = jax.jit(jax.jacfwd(scaled))(one)
+    weights = jax.random.normal(jax.random.key(0), (len(forward),))
+    backward = jax.jit(jax.grad(lambda factors: scaled(factors) @ weights))(one)
+    return jax.jit(scaled), one, forward, weights, backward
+
+
+def test_reverse_mode_agrees_with_forward_mode(routes):
+    _, _, forward, weights, backward = routes
+    assert np.allclose(weights @ forward, backward, rtol=1e-9)
+
+
+@pytest.mark.parametrize("index", range(len(LEAVES)), ids=LEAVES.keys())
+def test_forward_mode_agrees_with_central_differences(routes, index):
+    scaled, one, forward, _, _ = routes
+    step = 2e-6
+    difference = (scaled(one.at[index].add(step)) - scaled(one.at[index].add(-step))) / (2 * step)
+    column = forward[:, index]
+    assert np.abs(column).max() > 1e-2
+    error = np.abs(difference - column) / np.abs(column).max()
+    # The diameter moves the border through the teeth: a few steps hold a kink, where the difference is not a derivative.
+    if index == list(LEAVES).index("tool.diameter"):
+        error = np.sort(error)[: -len(error) // 100]
+    assert error.max() < 1e-6
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential", "fractional"])
+def test_every_law_both_routes(law):
+    force = {
+        "linear": mx.LinearLaw(kt=8e8, kr=0.3, ke=1e4),
+        "exponential": mx.ExponentialLaw(kf=1e6, m=0.7, kr=0.3),
+        "fractional": mx.FractionalLaw(5e9, 18e-6, 0.1, 0.3),
+    }[law]
+    case = slot(force=force, duration=0.006, sweeps=6, stock=ENDLESS)
+
+    def projected(force):
+        return traces(eqx.tree_at(lambda c: c.force, case, force)) @ weights
+
+    weights = jax.random.normal(jax.random.key(1), traces(case).shape)
+    gradient = jax.grad(projected)(force)
+    for name in ("kt", "ke", "kf", "m", "k0", "hs", "r", "kr"):
+        if hasattr(force, name):
+            value = getattr(force, name)
+            up, down = (eqx.tree_at(lambda f, n=name: getattr(f, n), force, value * (1 + s)) for s in (1e-6, -1e-6))
+            difference = (projected(up) - projected(down)) / (2e-6 * value)
+            assert float(difference) == pytest.approx(float(getattr(gradient, name)), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "stock", [mx.Stock.box(), ENDLESS, mx.Stock.box((0, None), (-2e-3, 5e-3))], ids=["border", "endless", "corner"]
+)
+@pytest.mark.parametrize("axes", [(), ("x", "y")], ids=["rigid", "2-DOF"])
+def test_every_derivative_is_finite(stock, axes):
+    template = slot(stock=stock, axes=axes, duration=0.0045, steps_per_tooth=20)
+    rest = eqx.filter(template, eqx.is_inexact_array, inverse=True)
+
+    @jax.jit
+    def everything(numbers):
+        def outputs(numbers):
+            sim = mx.simulate(eqx.combine(numbers, rest), throw=False)
+            return jnp.concatenate([sim.force.ravel(), sim.displacement.ravel(), sim.chip_thickness.ravel()])
+
+        # One direction through all leaves at once: a single NaN anywhere in the Jacobian would reach the sum.
+        forward = jax.jvp(outputs, (numbers,), (jax.tree.map(jnp.ones_like, numbers),))
+        return forward, jax.grad(lambda n: jnp.sum(outputs(n)))(numbers)
+
+    for feed in (4 / 60, 0.0):
+        for width in (1e-6, 0.0):
+            for start in ((-0.01, 0.0), (-0.03, 0.0)):  # touching; out of contact, or in a slot with the surface at h = 0
+                case = slot(stock=stock, axes=axes, duration=0.0045, steps_per_tooth=20, feed=feed, width=width, start=start)
+                leaves = jax.tree.leaves(everything(eqx.filter(case, eqx.is_inexact_array)))
+                assert all(np.isfinite(leaf).all() for leaf in leaves), (feed, width, start)
