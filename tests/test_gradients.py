@@ -94,9 +94,14 @@ def test_every_law_both_routes(law):
 
 
 @pytest.mark.parametrize(
-    "stock", [mx.Stock.box(), ENDLESS, mx.Stock.box((0, None), (-2e-3, 5e-3))], ids=["border", "endless", "corner"]
+    ("stock", "axes"),
+    [
+        (mx.Stock.box((0, None), (-2e-3, 5e-3)), ()),
+        (mx.Stock.box((0, None), (-2e-3, 5e-3)), ("x", "y")),
+        (ENDLESS, ("x", "y")),
+    ],
+    ids=["rigid, borders", "2-DOF, borders", "2-DOF"],
 )
-@pytest.mark.parametrize("axes", [(), ("x", "y")], ids=["rigid", "2-DOF"])
 def test_every_derivative_is_finite(stock, axes):
     template = slot(stock=stock, axes=axes, duration=0.0045, steps_per_tooth=20)
     rest = eqx.filter(template, eqx.is_inexact_array, inverse=True)
