@@ -20,10 +20,10 @@ test: $(VENV)/.installed-test
 
 # Figures of accuracy beside the papers', and of speed.
 validate: $(VENV)/.installed
-	$(BIN)/python benchmarks/validate.py
+	$(BIN)/python -m benchmarks.validate
 
 bench: $(VENV)/.installed
-	$(BIN)/python benchmarks/bench.py
+	$(BIN)/python -m benchmarks.bench
 
 $(VENV):
 	$(PYTHON) -m venv $@

@@ -1,0 +1,47 @@
+"""What the README says can be done."""
+
+import contextlib
+import io
+import re
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import millax as mx
+from identification import load_fit
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return [textwrap.dedent(block) for block in re.findall(rf"```{language}\n(.*?)```", TEXT, flags=re.DOTALL)]
+
+
+def test_the_example_runs(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    (code,) = blocks("python")
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        exec(code, {})
+    assert "force.k0 = 51" in out.getvalue()
+
+
+def test_the_case_file_can_be_simulated():
+    case, _ = blocks("toml")
+    assert mx.CaseFile.from_text(case).case.settings.periods == 1334
+
+
+def test_the_tables_of_a_fit_are_accepted(tmp_path):
+    case, fit = blocks("toml")
+    header = re.search(r"(?m)^ *(time \[.*\])$", TEXT)[1]
+    rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
+    (tmp_path / "trace.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
+    (tmp_path / "case.toml").write_text(case + fit, encoding="utf-8")
+    problem = load_fit(tmp_path / "case.toml")
+    assert {p.name for p in problem.parameters} == {"force.k0", "force.kr", "structure.damping_ratio.x"}
+
+
+@pytest.mark.parametrize("target", sorted(set(re.findall(r"\]\(([^)]+)\)", TEXT))))
+def test_a_link_leads_somewhere(target):
+    assert (ROOT / target).exists()
