@@ -13,15 +13,14 @@ of which the tooth meets clip(x, 0, h). With the law's integral W the mean of F_
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._chip import Angles
 from ._forces import ForceLaw
 from ._math import minimum, positive_part
+from ._stock import Stock
 from ._types import Scalar
-
-_PARALLEL = 1e-3
-"""Smallest abs(N . n) taken: a ray nearly parallel to a border meets it in a step whose length does not matter."""
 
 
 class Borders(NamedTuple):
@@ -29,13 +28,43 @@ class Borders(NamedTuple):
 
     normals: Float[Array, "borders 2"]
     before: Float[Array, "borders teeth m"]
-    """Distance of the tip inside the border at the start of the step [m]."""
+    """d at the start of the step [m], positive inside."""
     after: Float[Array, "borders teeth m"]
-    """The same at the end of the step."""
+    """d at the end of the step [m]."""
     steepness: Float[Array, "borders teeth m"]
-    """1/abs(N . n) [-]."""
+    """1/abs(N . n) at the middle of the step."""
     exits: Float[Array, "borders teeth m"]
     """1 where the border is behind the tip, 0 where it is before it."""
+
+    def moved(self, x: Scalar) -> "Borders":
+        """The borders as they are met after a feed of x [m]."""
+        nearer = (self.normals[:, 0] * x)[:, None, None]
+        return self._replace(before=self.before - nearer, after=self.after - nearer)
+
+
+def borders_met(stock: Stock, radius: Scalar, centres, phi: np.ndarray, step_angle: float) -> Borders:
+    """The borders met by teeth at the angles `phi` in the middle of each step, shape (blocks, 1, teeth, m).
+
+    `centres` are the tool centres at the start and the end of each step: two pairs (x, y) [m] that broadcast with `phi`.
+    """
+    nx, ny = stock.normals.T[:, :, None, None]
+    across = nx * np.cos(phi) - ny * np.sin(phi)
+    # The tip moves on a circle: near the border it lies beyond its chord by d'' step²/12 on the average of the step.
+    bulge = radius * across * step_angle**2 / 12
+
+    def inside(centre, angle):
+        x, y = centre
+        towards = nx * np.cos(angle) - ny * np.sin(angle)
+        return stock.offsets[:, None, None] - nx * x - ny * y - radius * towards - bulge
+
+    return Borders(
+        normals=jnp.broadcast_to(stock.normals, (len(phi), *stock.normals.shape)),
+        before=inside(centres[0], phi - step_angle / 2),
+        after=inside(centres[1], phi + step_angle / 2),
+        # A ray nearly parallel to a border meets it in a step whose length does not matter.
+        steepness=1 / jnp.sqrt(across**2 + 1e-6),
+        exits=jnp.where(across > 0, 1.0, 0.0),
+    )
 
 
 class Contact(NamedTuple):

@@ -9,7 +9,7 @@ the residual.
 """
 
 import warnings
-from typing import NamedTuple, overload
+from typing import overload
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from ._block import Process, cutting, solve
 from ._case import Case
 from ._chip import Angles, past_surfaces
-from ._contact import Borders
+from ._contact import Borders, borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
 from ._response import block_response
@@ -114,16 +114,6 @@ def simulate(*parts, throw: bool = True) -> Simulation:
     return sim
 
 
-class _Tables(NamedTuple):
-    """What a block needs to know of its place in the tooth period."""
-
-    angles: Angles
-    before: Float[Array, "borders teeth m"]
-    after: Float[Array, "borders teeth m"]
-    steepness: Float[Array, "borders teeth m"]
-    exits: Float[Array, "borders teeth m"]
-
-
 @eqx.filter_jit
 def _simulate(case: Case) -> Simulation:
     tool, law, cut, structure, settings = case.tool, case.force, case.cut, case.structure, case.settings
@@ -134,17 +124,14 @@ def _simulate(case: Case) -> Simulation:
     feed_per_tooth = cut.feed_per_tooth(tool)
     tip_speed = cut.spindle_speed * tool.radius
     response = block_response(structure, tau / steps, m)
-    tables = _tables(case, m)
+    angles, borders = _geometry(case, m)
     rigid = structure.coordinates == 0
 
     def block(state, inputs):
-        table, past_motion, guess, travelled = inputs
-        past = past_surfaces(table.angles, *past_motion, feed_per_tooth, cut.feed_rate, tip_speed)
-        # The feed brings the stock nearer, or takes it away, by the same amount for every tooth and step.
-        approach = (case.stock.normals[:, 0] * travelled)[:, None, None]
-        borders = Borders(case.stock.normals, table.before - approach, table.after - approach, table.steepness, table.exits)
-
-        process = Process(law, table.angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle)
+        angles, borders, past_motion, guess, travelled = inputs
+        past = past_surfaces(angles, *past_motion, feed_per_tooth, cut.feed_rate, tip_speed)
+        borders = borders.moved(travelled)
+        process = Process(law, angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle)
         force, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
         _, chip = cutting(process, response.position(state, force))
         motion = (response.position(state, force), response.velocity(state, force))
@@ -154,7 +141,7 @@ def _simulate(case: Case) -> Simulation:
     def period(carry, index):
         state, past, guess = carry
         travelled = jnp.full(blocks, index * feed_per_tooth)
-        state, (motion, guess, traces, change) = lax.scan(block, state, (tables, past, guess, travelled))
+        state, (motion, guess, traces, change) = lax.scan(block, state, (angles, borders, past, guess, travelled))
         # Per block: the newest pass in front, the oldest forgotten.
         past = jax.tree.map(lambda new, old: jnp.concatenate([new[:, None], old[:, :-1]], axis=1), motion, past)
         return (state, past, guess), (traces, jnp.max(change))
@@ -183,35 +170,17 @@ def _simulate(case: Case) -> Simulation:
     )
 
 
-def _tables(case: Case, m: int) -> _Tables:
-    """Geometry of every block of a tooth period, in the first period."""
-    tool, cut, stock, settings = case.tool, case.cut, case.stock, case.settings
-    teeth, steps, blocks = tool.teeth, settings.steps_per_tooth, settings.blocks
-    place = np.arange(teeth)[None, :, None] * (2 * np.pi / teeth)
-    step = np.arange(steps).reshape(blocks, 1, m)
-    step_angle = 2 * np.pi / (teeth * steps)
-    dt = cut.tooth_period(tool) / steps
-
-    def tip_inside(offset):
-        """Distance of each tip inside each border, `offset` of a step after its start; shape (blocks, borders, teeth, m)."""
-        phi = place + (step + offset) * step_angle
-        x = cut.start[0] + cut.feed_rate * (step + offset) * dt + tool.radius * np.cos(phi)
-        y = cut.start[1] - tool.radius * np.sin(phi)
-        nx, ny = stock.normals.T[:, None, :, None, None]
-        return stock.offsets[None, :, None, None] - nx * x[:, None] - ny * y[:, None]
-
-    phi = place + (step + 0.5) * step_angle
-    cos, sin = jnp.asarray(np.cos(phi)), jnp.asarray(np.sin(phi))
-    nx, ny = stock.normals.T[:, None, :, None, None]
-    across = nx * cos[:, None] - ny * sin[:, None]
-    bulge = tool.radius * across * step_angle**2 / 12
-    return _Tables(
-        angles=Angles(cos, sin),
-        before=tip_inside(0) - bulge,
-        after=tip_inside(1) - bulge,
-        steepness=1 / jnp.sqrt(across**2 + 1e-6),
-        exits=jnp.where(across > 0, 1.0, 0.0),
-    )
+def _geometry(case: Case, m: int) -> tuple[Angles, Borders]:
+    """Directions and borders of every block of the first tooth period; in later ones only the feed has gone on."""
+    tool, cut, settings = case.tool, case.cut, case.settings
+    steps = settings.steps_per_tooth
+    step_angle = 2 * np.pi / (tool.teeth * steps)
+    step = np.arange(steps).reshape(settings.blocks, 1, 1, m)
+    phi = np.arange(tool.teeth)[:, None] * (2 * np.pi / tool.teeth) + (step + 0.5) * step_angle
+    advance = cut.feed_per_tooth(tool) / steps
+    centres = [(cut.start[0] + advance * (step + end), cut.start[1]) for end in (0, 1)]
+    angles = Angles(jnp.asarray(np.cos(phi[:, 0])), jnp.asarray(np.sin(phi[:, 0])))
+    return angles, borders_met(case.stock, tool.radius, centres, phi, step_angle)
 
 
 def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "steps columns"]:
