@@ -17,28 +17,40 @@ def figures():
 
 
 def _errors(coarse, fine):
-    """Root mean square and largest force error, over the root mean square and the largest force."""
-    fine = fine.reshape(-1, len(fine) // len(coarse), 2).mean(axis=1)
+    """Root mean square and largest error, over the root mean square and the largest value."""
+    fine = fine.reshape(-1, len(fine) // len(coarse), fine.shape[1]).mean(axis=1)
     error = coarse - fine
     return np.sqrt((error**2).mean() / (fine**2).mean()), np.abs(error).max() / np.abs(fine).max()
 
 
+def _traces(**settings):
+    sim = mx.simulate(slot(duration=0.16, **settings))
+    return np.asarray(sim.force)[:, :2], np.asarray(sim.displacement)
+
+
 def _force(**settings):
-    return np.asarray(mx.simulate(slot(duration=0.16, **settings)).force)[:, :2]
+    return _traces(**settings)[0]
 
 
 def _order(name, **case):
     """The whole entry, from first contact to the tool centre past the border: 107 tooth periods."""
-    fine = _force(steps_per_tooth=FINE, blocks=16, **({"sweeps": 6} | case))
-    rms, largest = {}, {}
-    for steps in (10, 20, 40, 80):
-        rms[steps], largest[steps] = _errors(_force(steps_per_tooth=steps, blocks=1, **({"sweeps": 6} | case)), fine)
-    yield below(f"{name}, entry: RMS force error at 40 steps per tooth", 100 * rms[40], 0.2, unit=" %")
-    yield Figure(f"{name}, entry: largest force error of any one step, at 40", f"{100 * largest[40]:.2g} %", "", None)
-    order = -np.polyfit(np.log(list(rms)), np.log(list(rms.values())), 1)[0]
-    yield Figure(f"{name}, entry: order of the RMS error, 10 to 80 steps", f"{order:.2f}", "≥ 1.6", bool(order >= 1.6))
-    order = -np.polyfit(np.log(list(largest)), np.log(list(largest.values())), 1)[0]
-    yield Figure(f"{name}, entry: order of the largest error", f"{order:.2f}", "≥ 1.6", bool(order >= 1.6))
+    numerics = {"sweeps": 6} | case
+    fine = _traces(steps_per_tooth=FINE, blocks=16, **numerics)
+    runs = {steps: _traces(steps_per_tooth=steps, blocks=1, **numerics) for steps in (10, 20, 40, 80)}
+    force = {steps: _errors(run[0], fine[0]) for steps, run in runs.items()}
+    yield below(f"{name}, entry: RMS force error at 40 steps per tooth", 100 * force[40][0], 0.2, unit=" %")
+    yield Figure(f"{name}, entry: largest force error of any one step, at 40", f"{100 * force[40][1]:.2g} %", "", None)
+    yield _slope(f"{name}, entry: order of the RMS force error, 10 to 80 steps", force, 0, 1.6)
+    yield _slope(f"{name}, entry: order of the largest force error", force, 1, 1.6)
+    if case.get("axes"):
+        moves = {steps: _errors(run[1], fine[1]) for steps, run in runs.items()}
+        yield below(f"{name}, entry: largest displacement error at 40", 100 * moves[40][1], 0.2, unit=" %")
+        yield _slope(f"{name}, entry: order of the largest displacement error", moves, 1, 1.9)
+
+
+def _slope(what, errors, which, least) -> Figure:
+    order = -np.polyfit(np.log(list(errors)), np.log([error[which] for error in errors.values()]), 1)[0]
+    return Figure(what, f"{order:.2f}", f"≥ {least}", bool(order >= least))
 
 
 def _hard_limit():
