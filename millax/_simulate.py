@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from ._block import Process, cutting, solve
@@ -102,7 +103,7 @@ def simulate(*parts, throw: bool = True) -> Simulation:
         tool, force, structure, cut, stock, settings = parts
         case = Case(tool, force, cut, stock, structure, settings)
     sim = _simulate(case)
-    if not isinstance(sim.status, jax.core.Tracer):
+    if not isinstance(sim.status, Tracer):
         if sim.force.dtype == jnp.float32:
             warnings.warn(
                 'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else',
@@ -128,8 +129,8 @@ def _simulate(case: Case) -> Simulation:
     rigid = structure.coordinates == 0
 
     def block(state, inputs):
-        angles, borders, past_motion, guess, travelled = inputs
-        past = past_surfaces(angles, *past_motion, feed_per_tooth, cut.feed_rate, tip_speed)
+        angles, borders, (displacement, velocity), guess, travelled = inputs
+        past = past_surfaces(angles, displacement, velocity, feed_per_tooth, cut.feed_rate, tip_speed)
         borders = borders.moved(travelled)
         process = Process(law, angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle)
         force, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
