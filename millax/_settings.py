@@ -17,6 +17,9 @@ from ._types import Scalar, as_number
 RESIDUAL_TOLERANCE = 1e-6
 """Largest residual of a simulation in float64 that counts as converged."""
 
+MOST_STEPS = 10**8
+"""Longest trace: some 10 GB."""
+
 STEPS_PER_MODE = 8
 """Fewest time steps per period of the fastest mode."""
 
@@ -81,8 +84,14 @@ class Settings(eqx.Module):
         """
         positive("simulation.duration", duration, "s")
         period = float(cut.tooth_period(tool))
+        periods = math.ceil(float(duration) / period * (1 - 1e-12))
+        if periods * steps_per_tooth > MOST_STEPS:
+            raise ValueError(
+                f"simulation.duration: {float(duration):g} s given; its {periods * steps_per_tooth:.2g} time steps are more "
+                f"than the {MOST_STEPS:.0e} that one trace can hold. Simulate a shorter cut"
+            )
         settings = Settings(
-            periods=math.ceil(float(duration) / period * (1 - 1e-12)),
+            periods=periods,
             steps_per_tooth=steps_per_tooth,
             passes=passes,
             width=width,
