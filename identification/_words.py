@@ -1,6 +1,9 @@
 """Numbers as a person writes them."""
 
 import math
+import re
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plain(value: float, digits: int = 4) -> str:
@@ -25,6 +28,12 @@ def with_error(value: float, std: float | None) -> str:
     return f"({numbers}){power(exponent)}" if exponent else numbers
 
 
+def unit_words(unit: str) -> str:
+    """A unit as it is printed: N/mm², µm."""
+    raised = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda match: match[1].translate(_RAISED), unit)
+    return re.sub(r"\bu(?=[a-zA-Z])", "µ", raised)
+
+
 def power(exponent: int) -> str:
     """A power of ten: ·10⁻⁶."""
-    return "·10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return "·10" + str(exponent).translate(_RAISED)

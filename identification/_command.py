@@ -1,0 +1,79 @@
+"""`millax fit`: from a case file and its traces to estimates, a fitted case and a report."""
+
+import json
+import math
+import os
+from pathlib import Path
+
+from rich.table import Table
+
+from millax import CaseError
+
+from ._fit import Progress, fit
+from ._fitfile import FitProblem, load_fit
+from ._output import complain, console, staged
+from ._parameters import value_of
+from ._report import write_report
+from ._result import FitResult
+from ._traces import TraceError
+from ._words import with_error
+
+_EXIT = {"converged": 0, "interrupted": 130}
+
+
+def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike) -> int:
+    """Fit what a case file asks; write result.json, fitted.toml and report.html into the directory `out_dir`.
+
+    Returns the exit code: 0 where every parameter was found; 1 where the answer is no (the result says why, and is written
+    all the same); 2 for input that cannot be used, with nothing written; 130 after Ctrl-C, with the best so far written.
+    fitted.toml is left out where the fit could not start. Raises `OSError` where nothing can be written.
+    """
+    try:
+        problem = load_fit(case_path)
+    except (CaseError, TraceError) as error:
+        complain(str(error))
+        return 2
+    with staged(out_dir) as folder:
+        result = _fit(problem)
+        text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
+        (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+        write_report(folder / "report.html", result, title=Path(case_path).name, truth=problem.truth)
+        if result.status == "cannot_start":
+            # One from an earlier run would not belong to this result.
+            (Path(out_dir) / "fitted.toml").unlink(missing_ok=True)
+        else:
+            estimates = {e.name: value_of(result.case, e.name) for e in result.parameters}
+            (folder / "fitted.toml").write_text(problem.file.with_values(estimates), encoding="utf-8")
+        names = ", ".join(sorted(file.name for file in folder.iterdir()))
+    _show(result)
+    console.print(f"{out_dir}: {names}", markup=False)
+    return _EXIT.get(result.status, 1)
+
+
+def _fit(problem: FitProblem) -> FitResult:
+    if not console.is_terminal:
+        return fit(problem.case, problem.traces, problem.parameters, progress=lambda p: console.print(_line(p)))
+    with console.status("reading") as status:
+        return fit(problem.case, problem.traces, problem.parameters, progress=lambda p: status.update(_line(p)))
+
+
+def _line(progress: Progress) -> str:
+    words = f"{progress.stage}: iteration {progress.iteration}, "
+    if math.isfinite(progress.cost):
+        words += f"cost {progress.cost:.5g}, "
+    return f"{words}{progress.seconds:.1f} s"
+
+
+def _show(result: FitResult) -> None:
+    """Print status, message and estimates: a table on a terminal, else one line per parameter."""
+    console.print(f"{result.status}: {result.message}", markup=False)
+    table = Table("parameter", "estimate", "unit", "95 % interval", box=None, pad_edge=False)
+    for e in result.parameters:
+        interval = f"{e.ci95[0]:.5g} to {e.ci95[1]:.5g}" if e.ci95 else "not known"
+        table.add_row(e.name, with_error(e.value, e.std), e.unit, interval)
+        if not console.is_terminal:
+            unit = f" {e.unit}" if e.unit else ""
+            console.print(f"{e.name}: {with_error(e.value, e.std)}{unit}, 95 % interval {interval}", markup=False)
+    if console.is_terminal:
+        console.print(table)
+    console.print(f"{result.iterations} iterations in {result.seconds:.1f} s")

@@ -1,0 +1,110 @@
+"""report.html: what a person reads about a fit. One file, which needs nothing else."""
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from . import _figures as figures
+from ._parameters import value_of
+from ._result import STATUS, FitResult, TraceFit
+from ._words import plain, unit_words, with_error
+
+
+def write_report(path: Path, result: FitResult, *, title: str, truth: Mapping[str, float] | None = None) -> None:
+    """Write the report of a fit.
+
+    `title` names the question; `truth` holds the true SI values by parameter name, where they are known because the
+    traces are synthetic.
+    """
+    template = resources.files("identification").joinpath("report.html.jinja").read_text(encoding="utf-8")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    html = environment.from_string(template).render(_content(result, title, dict(truth or {})))
+    path.write_text(html, encoding="utf-8")
+
+
+def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str, Any]:
+    tooth_period = float(result.case.cut.tooth_period(result.case.tool))
+    rows = [_row(result, i, truth) for i in range(len(result.parameters))]
+    return {
+        "title": title,
+        "result": result,
+        "verdict": STATUS[result.status],
+        "summary": _summary(result, rows),
+        "rows": rows,
+        "has_truth": any(row["truth"] is not None for row in rows),
+        "traces": [
+            {
+                "name": fit.trace.name,
+                "samples": len(fit.trace.time),
+                "channels": _channels(fit),
+                "fitted": figures.measured_and_fitted(fit, tooth_period),
+                "residuals": figures.residuals(fit, tooth_period),
+            }
+            for fit in result.traces
+        ],
+        "correlation": figures.correlation(result) if np.isfinite(result.correlation).sum() > 1 else None,
+    }
+
+
+def _row(result: FitResult, i: int, truth: dict[str, float]) -> dict[str, Any]:
+    """One parameter for the table. Deviations and the ends of the interval are in standard errors from the estimate."""
+    e = result.parameters[i]
+    si = value_of(result.case, e.name)
+    # The truth in the estimate's unit; a unit has no offset, so a ratio is enough.
+    true = truth[e.name] * (e.value / si) if e.name in truth and si != 0 else None
+    deviation = (e.value - true) / e.std if true is not None and e.std else None
+    return {
+        "name": e.name,
+        "unit": unit_words(e.unit),
+        "estimate": with_error(e.value, e.std),
+        "relative": f"{100 * e.std / abs(e.value):.2g} %" if e.std and e.value else None,
+        "ci95": [plain(x, 5) for x in e.ci95] if e.ci95 else None,
+        "ends": [(x - e.value) / e.std for x in e.ci95] if e.ci95 and e.std else None,
+        "guess": plain(e.guess, 3),
+        "truth": None if true is None else plain(true),
+        "deviation": deviation,
+        "error": None if not true else f"{100 * (e.value / true - 1):+.2f} %".replace("-", "−"),
+        "reason": e.reason,
+    }
+
+
+def _summary(result: FitResult, rows: list[dict[str, Any]]) -> list[str]:
+    """Sentences under the verdict: the message, how well things are known, and whether truth and estimate agree."""
+    sentences = [result.message]
+    relative = {e.name: e.std / abs(e.value) for e in result.parameters if e.std and e.value}
+    if relative:
+        best, worst = min(relative, key=relative.__getitem__), max(relative, key=relative.__getitem__)
+        sentences.append(
+            f"The best known is {best} with a standard error of {100 * relative[best]:.2g} %, the least known {worst} with "
+            f"{100 * relative[worst]:.2g} %."
+        )
+    inside = [row["ends"][0] <= -row["deviation"] <= row["ends"][1] for row in rows if row["deviation"] is not None]
+    if inside:
+        sentences.append(f"The truth lies in {sum(inside)} of {len(inside)} 95 % intervals.")
+    for fit in result.traces:
+        r2 = [x for x in fit.r2.values() if x is not None]
+        if r2:
+            sentences.append(
+                f"The model explains {100 * min(r2):.2f} % or more of the variance of each channel of {fit.trace.name}."
+            )
+    return sentences
+
+
+def _channels(fit: TraceFit) -> list[dict[str, Any]]:
+    """Goodness of fit per channel, in the unit of the trace."""
+    return [
+        {
+            "name": channel,
+            "unit": unit_words(fit.trace.unit(channel)),
+            "r2": None if (r2 := fit.r2[channel]) is None else f"{r2:.5f}",
+            "rmse": plain(fit.trace.shown(channel, fit.rmse[channel])),
+            "sigma": plain(fit.trace.shown(channel, fit.sigma[channel])),
+            "how": "given" if channel in fit.trace.noise else "estimated",
+            "chi2": f"{(fit.rmse[channel] / fit.sigma[channel]) ** 2:.3f}",
+        }
+        for channel in fit.trace.channels
+    ]
