@@ -5,7 +5,7 @@ from collections.abc import Collection
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from millax import Case, Simulation
 from millax._types import AXES
@@ -26,28 +26,27 @@ class Comparison(eqx.Module):
     linearly: second order in the step, as the simulation is, and differentiable also where the step depends on a free
     spindle speed. Before the first and after the last sample it is continued by the half step they stand for.
 
-    Where the trace has the time stamps of the simulation, up to their rounding, `index` holds the samples to take as
-    they are; otherwise it is None.
+    Where the trace has the time stamps of the simulation, or every k-th of them, up to their rounding, `taken` says which
+    samples to take as they are (first, last + 1, k); otherwise it is None.
     """
 
     time: Float[Array, " samples"]
-    measured: Float[Array, "samples channels"]
-    index: Int[Array, " samples"] | None
+    measured: Float[Array, "channels samples"]
+    taken: tuple[int, int, int] | None = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
 
-    def predict(self, sim: Simulation) -> Float[Array, "samples channels"]:
+    def predict(self, sim: Simulation) -> Float[Array, "channels samples"]:
         """The model's channels [N, m] at the times of the trace."""
-        columns = [
+        model = [
             sim.displacement[:, sim.axes.index(channel)] if channel in AXES else sim.force[:, "xyz".index(channel[1])]
             for channel in self.channels
         ]
-        model = jnp.stack(columns, axis=1)
-        if self.index is not None:
-            return model[self.index]
+        if self.taken is not None:
+            return jnp.stack([channel[slice(*self.taken)] for channel in model])
         position = _position(self.time, sim.time)
         before = jnp.clip(jnp.floor(position), 0, len(sim.time) - 2).astype(int)
-        weight = (position - before)[:, None]
-        return (1 - weight) * model[before] + weight * model[before + 1]
+        weight = position - before
+        return jnp.stack([(1 - weight) * channel[before] + weight * channel[before + 1] for channel in model])
 
     def covered(self, sim: Simulation) -> Bool[Array, ""]:
         """Whether the simulation is long enough for the trace."""
@@ -94,10 +93,10 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
             f"{trace.name}: it ends at {trace.time[-1]:.6g} s, after the simulation does at {steps * step:.6g} s. "
             "Raise simulation.duration, or choose a window"
         )
-    nearest = np.rint(position)
+    nearest = np.rint(position).astype(int)
     aligned = "cut.spindle_speed" not in free_names and np.abs(position - nearest).max() <= UNEVEN
-    index = jnp.asarray(np.clip(nearest, 0, steps - 1), dtype=int) if aligned else None
-    return Comparison(jnp.asarray(trace.time), jnp.asarray(trace.values), index, trace.channels)
+    taken = (int(nearest[0]), int(nearest[-1]) + 1, int(nearest[1] - nearest[0])) if aligned else None
+    return Comparison(jnp.asarray(trace.time), jnp.asarray(trace.values.T), taken, trace.channels)
 
 
 def _position(time, model_time):

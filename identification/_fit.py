@@ -1,5 +1,6 @@
 """Fitting parameters of a case to traces: weighted least squares by Levenberg-Marquardt."""
 
+import dataclasses
 import importlib.metadata
 import platform
 import time
@@ -27,6 +28,12 @@ CONVERGED = 1e-3
 
 STALLED = 0.1
 """Where the solver finds no better point, rounding allowed, this many standard errors still count as the optimum."""
+
+SWEEPS_MISSING = 1
+"""The status of a simulation whose fixed-point sweeps have not converged."""
+
+MOST_SWEEPS = 30
+"""A fit raises the sweeps of its case up to this number where the parameters on its way need more."""
 
 NOISE_ROUNDS = 10
 """Most rounds of estimating the noise; two or three are usual."""
@@ -100,7 +107,7 @@ class Evaluation(eqx.Module):
     """
 
     triangles: Float[Array, "channels n+1 n+1"]
-    fitted: tuple[Float[Array, "samples channels"], ...]
+    fitted: tuple[Float[Array, "channels samples"], ...]
     status: Array
     covered: Array
 
@@ -113,15 +120,33 @@ def evaluate(case: Case, numbers: FreeParameters, comparisons: tuple[Comparison,
         sim = simulate(numbers.insert(case, y), throw=False)
         fitted = tuple(comparison.predict(sim) for comparison in comparisons)
         covered = jnp.stack([comparison.covered(sim) for comparison in comparisons]).all()
-        return fitted, (fitted, sim.status, covered)
+        return fitted, (sim.status, covered)
 
-    jacobians, (fitted, status, covered) = jax.jacfwd(model, has_aux=True)(y)
+    def push(direction):
+        fitted, change, aux = jax.jvp(model, (y,), (direction,), has_aux=True)
+        return fitted, change, aux
+
+    # jacfwd, but for the order of axes: parameters first is how the factorisation wants its columns.
+    fitted, changes, (status, covered) = jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(len(y)))
     triangles = [
-        jnp.linalg.qr(jnp.column_stack([jacobian[:, c], (model - comparison.measured)[:, c]]), mode="r")
-        for comparison, model, jacobian in zip(comparisons, fitted, jacobians, strict=True)
-        for c in range(len(comparison.channels))
+        triangle(jnp.concatenate([change, (model - comparison.measured)[None]]))
+        for comparison, model, change in zip(comparisons, fitted, changes, strict=True)
     ]
-    return Evaluation(jnp.stack(triangles), fitted, status, covered)
+    return Evaluation(jnp.concatenate(triangles), fitted, status, covered)
+
+
+def triangle(columns: Float[Array, "k channels samples"], part: int = 512) -> Float[Array, "channels k k"]:
+    """The triangular factor of every channel's matrix of k columns.
+
+    Factorised in parts, then the factors of the parts: exact, and each part is small enough for LAPACK to leave it to one
+    thread. On a busy machine the threads it starts for the whole wait for each other a hundred times as long.
+    """
+    k, channels, samples = columns.shape
+    parts = -(-samples // part)
+    padded = jnp.pad(columns, ((0, 0), (0, 0), (0, parts * part - samples)))
+    matrices = jnp.moveaxis(padded.reshape(k, channels, parts, part), 0, -1)
+    factors = jnp.linalg.qr(matrices, mode="r")
+    return jnp.linalg.qr(factors.reshape(channels, parts * k, k), mode="r")
 
 
 class _Failed(Exception):
@@ -213,8 +238,13 @@ class _Fit:
     def _evaluate(self, y: np.ndarray) -> tuple[Evaluation, str | None]:
         """The evaluation at `y`, and why it must not be used, if so."""
         self.iterations += 1
-        evaluation = evaluate(self.case, self.numbers, self.comparisons, jnp.asarray(y))
-        status = int(evaluation.status)
+        while True:
+            evaluation = evaluate(self.case, self.numbers, self.comparisons, jnp.asarray(y))
+            status = int(evaluation.status)
+            if status != SWEEPS_MISSING or self.case.settings.sweeps >= MOST_SWEEPS:
+                break
+            # Not a property of the point, but of settings chosen for other parameters: it would bar the way.
+            self._more_sweeps()
         if status:
             return evaluation, SIMULATION_STATUS[status]
         if not bool(evaluation.covered):
@@ -222,6 +252,13 @@ class _Fit:
         if not np.isfinite(evaluation.triangles).all():
             return evaluation, "the traces or their derivatives are not finite"
         return evaluation, None
+
+    def _more_sweeps(self) -> None:
+        sweeps = min(self.case.settings.sweeps + 2, MOST_SWEEPS)
+        settings = dataclasses.replace(self.case.settings, sweeps=sweeps)
+        self.case = dataclasses.replace(self.case, settings=settings)
+        stage = f"compiling with {sweeps} sweeps"
+        self.progress(Progress(stage, self.iterations, np.nan, time.perf_counter() - self.begin))
 
     def _whitened(self, evaluation: Evaluation) -> np.ndarray:
         """The triangular factor of [J, r] over all channels, in units of the noise."""
@@ -281,7 +318,7 @@ class _Fit:
             return ()
         sigma = iter(self.sigma)
         return tuple(
-            TraceFit(trace, np.asarray(fitted), {channel: float(next(sigma)) for channel in trace.channels})
+            TraceFit(trace, np.asarray(fitted).T, {channel: float(next(sigma)) for channel in trace.channels})
             for trace, fitted in zip(self.traces, self.best.fitted, strict=True)
         )
 
