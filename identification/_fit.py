@@ -220,17 +220,18 @@ class _Fit:
         """Go to the optimum for the present noise; the solver sees the residuals divided by `caution`."""
         steps = Steps(self.y)
         steps.tell(self._whitened(self._best()) / caution)
-        failure = None
+        wall = None
         while self._distance() > CONVERGED:
             if steps.stalled:
                 if self._distance() > STALLED:
-                    why = f"; beyond it, {failure}" if failure else ""
+                    why = f": beyond it {wall}" if wall else ""
                     raise _Failed("not_converged", f"No step makes the fit better, yet this is no optimum{why}. {TRY}")
                 return
             if self.iterations >= self.max_iterations:
                 raise _Failed("not_converged", f"No optimum after {self.iterations} iterations. {TRY}")
             y = steps.proposal
             evaluation, failure = self._evaluate(y)
+            wall = failure or wall
             if steps.tell(None if failure else self._whitened(evaluation) / caution):
                 self.y, self.best = y, evaluation
             self._report(stage)
