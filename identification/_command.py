@@ -16,7 +16,7 @@ from ._parameters import value_of
 from ._report import write_report
 from ._result import FitResult
 from ._traces import TraceError
-from ._words import with_error
+from ._words import interval, with_error
 
 _EXIT = {"converged": 0, "interrupted": 130}
 
@@ -69,11 +69,11 @@ def _show(result: FitResult) -> None:
     console.print(f"{result.status}: {result.message}", markup=False)
     table = Table("parameter", "estimate", "unit", "95 % interval", box=None, pad_edge=False)
     for e in result.parameters:
-        interval = f"{e.ci95[0]:.5g} to {e.ci95[1]:.5g}" if e.ci95 else "not known"
-        table.add_row(e.name, with_error(e.value, e.std), e.unit, interval)
+        known = interval(e.ci95) if e.ci95 else "not known"
+        table.add_row(e.name, with_error(e.value, e.std), e.unit, known)
         if not console.is_terminal:
             unit = f" {e.unit}" if e.unit else ""
-            console.print(f"{e.name}: {with_error(e.value, e.std)}{unit}, 95 % interval {interval}", markup=False)
+            console.print(f"{e.name}: {with_error(e.value, e.std)}{unit}, 95 % interval {known}", markup=False)
     if console.is_terminal:
         console.print(table)
     console.print(f"{result.iterations} iterations in {result.seconds:.1f} s")

@@ -169,6 +169,7 @@ class _Fit:
         self.max_iterations: int = max_iterations
         self.progress: Callable[[Progress], None] = progress
         self.begin = time.perf_counter()
+        self.sweeps = case.settings.sweeps
         self.iterations = 0
         self.y = np.zeros(len(numbers))
         self.best: Evaluation | None = None
@@ -302,6 +303,8 @@ class _Fit:
             status, message = _verdict(numbers, known)
         else:
             known = none_known(len(numbers), STATUS[status])
+        if self.case.settings.sweeps > self.sweeps:
+            message += f" The sweeps were raised from {self.sweeps} to {self.case.settings.sweeps} on the way."
         return FitResult(
             status=status,
             message=message,

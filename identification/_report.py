@@ -11,7 +11,7 @@ import numpy as np
 from . import _figures as figures
 from ._parameters import value_of
 from ._result import STATUS, FitResult, TraceFit
-from ._words import plain, unit_words, with_error
+from ._words import interval, plain, unit_words, with_error
 
 
 def write_report(path: Path, result: FitResult, *, title: str, truth: Mapping[str, float] | None = None) -> None:
@@ -62,7 +62,7 @@ def _row(result: FitResult, i: int, truth: dict[str, float]) -> dict[str, Any]:
         "unit": unit_words(e.unit),
         "estimate": with_error(e.value, e.std),
         "relative": f"{100 * e.std / abs(e.value):.2g} %" if e.std and e.value else None,
-        "ci95": [plain(x, 5) for x in e.ci95] if e.ci95 else None,
+        "ci95": interval(e.ci95) if e.ci95 else None,
         "ends": [(x - e.value) / e.std for x in e.ci95] if e.ci95 and e.std else None,
         "guess": plain(e.guess, 3),
         "truth": None if true is None else plain(true),

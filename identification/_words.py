@@ -20,12 +20,22 @@ def with_error(value: float, std: float | None) -> str:
     """`value ± std`, both to the second digit of the standard error; the value alone where there is none."""
     if std is None or not std > 0 or not math.isfinite(std):
         return plain(value)
-    largest = math.floor(math.log10(max(abs(value), std)))
+    return _together([value, std], std, " ± ")
+
+
+def interval(ends: tuple[float, float]) -> str:
+    """`low … high`, to the second digit of a quarter of the width: the digits of the standard error."""
+    low, high = ends
+    return _together([low, high], (high - low) / 4, " … ") if high > low else f"{plain(low)} … {plain(high)}"
+
+
+def _together(values: list[float], resolution: float, between: str) -> str:
+    """Numbers with one power of ten and as many decimals as the second digit of `resolution` needs."""
+    largest = math.floor(math.log10(max(map(abs, values))))
     exponent = 0 if -4 <= largest < 6 else largest
-    scale = 10.0**exponent
-    decimals = max(exponent - math.floor(math.log10(std)) + 1, 0)
-    numbers = f"{value / scale:.{decimals}f} ± {std / scale:.{decimals}f}"
-    return f"({numbers}){power(exponent)}" if exponent else numbers
+    decimals = max(exponent - math.floor(math.log10(resolution)) + 1, 0)
+    text = between.join(f"{value / 10.0**exponent:.{decimals}f}" for value in values)
+    return f"({text}){power(exponent)}" if exponent else text
 
 
 def unit_words(unit: str) -> str:

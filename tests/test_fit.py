@@ -225,6 +225,7 @@ def test_sweeps_are_raised_where_the_fit_needs_more():
     result = fit(case, trace, ["force.k0"])
     assert result.success, result.message
     assert result.case.settings.sweeps > 3
+    assert "sweeps were raised from 3 to" in result.message
     assert int(mx.simulate(result.case).status) == 0
 
 

@@ -10,7 +10,7 @@ from cases import slot
 
 from identification import Estimate, FitResult, Trace, TraceFit
 from identification._report import write_report
-from identification._words import plain, unit_words, with_error
+from identification._words import interval, plain, unit_words, with_error
 
 CASE = slot()
 
@@ -166,6 +166,13 @@ def test_the_same_fit_gives_the_same_file(tmp_path):
 )
 def test_numbers_with_their_errors(value, std, text):
     assert with_error(value, std) == text
+
+
+def test_intervals_have_the_digits_of_the_error():
+    assert interval((309976.2, 310046.8)) == "309976 … 310047"
+    assert interval((0.30996, 0.31007)) == "0.309960 … 0.310070"
+    assert interval((4.78e9, 5.16e9)) == "(4.780 … 5.160)·10⁹"
+    assert interval((-0.1, 0.1)) == "-0.100 … 0.100"
 
 
 def test_plain_numbers_and_units():
