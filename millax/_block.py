@@ -48,39 +48,43 @@ def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, 
 
 @eqx.filter_custom_jvp
 def solve(process: Process, position: Motion, state: Float[Array, " states"], guess: Pair, *, sweeps: int):
-    """Forces over the block, after `sweeps` sweeps from `guess`, and the largest change in the last of them [N]."""
+    """Forces over the block after `sweeps` sweeps from `guess` [N], the chip thickness that made them [m], and the largest
+    change of the forces in the last sweep [N]."""
 
     def sweep(force, _):
         return cutting(process, position(state, force))[0], None
 
     previous, _ = _repeat(sweep, guess, sweeps - 1)
-    force, _ = sweep(previous, None)
+    force, chip = cutting(process, position(state, previous))
     change = jnp.maximum(*(jnp.max(jnp.abs(new - old)) for new, old in zip(force, previous, strict=True)))
-    return force, change
+    return force, chip, change
 
 
 @solve.def_jvp
 def _solve_jvp(primals, tangents, *, sweeps):
     process, position, state, guess = primals
-    force, change = solve(process, position, state, guess, sweeps=sweeps)
+    force, chip, change = solve(process, position, state, guess, sweeps=sweeps)
 
     def of_parameters(process, position, state):
-        return cutting(process, position(state, force))[0]
+        return cutting(process, position(state, force))
 
-    _, direct = eqx.filter_jvp(of_parameters, (process, position, state), tangents[:3])
+    value, direct = eqx.filter_jvp(of_parameters, (process, position, state), tangents[:3])
+    # None stands for no dependence at all, as of the thickness on the force law.
+    direct = jax.tree.map(lambda v, d: jnp.zeros_like(v) if d is None else d, value, direct)
 
     def of_displacement(direction):
         u = position(state, force)
-        return jax.jvp(lambda u: cutting(process, u)[0], (u,), (jnp.zeros_like(u).at[direction].set(1.0),))[1]
+        return jax.jvp(lambda u: cutting(process, u), (u,), (jnp.zeros_like(u).at[direction].set(1.0),))[1]
 
     by_x, by_y = of_displacement(0), of_displacement(1)
 
-    def sweep(df, _):
+    def respond(df):
+        """Changes of force and chip thickness, given those of the force in the displacement."""
         dx, dy = position.forced[0] @ df[0] + position.forced[1] @ df[1]
-        return jax.tree.map(lambda d, x, y: d + x * dx + y * dy, direct, by_x, by_y), None
+        return jax.tree.map(lambda d, x, y: d + x * dx + y * dy, direct, by_x, by_y)
 
-    df, _ = _repeat(sweep, direct, sweeps)
-    return (force, change), (df, jnp.zeros_like(change))
+    df, _ = _repeat(lambda df, _: (respond(df)[0], None), direct[0], sweeps)
+    return (force, chip, change), (df, respond(df)[1], jnp.zeros_like(change))
 
 
 def _repeat(sweep, start, times):

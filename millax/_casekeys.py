@@ -161,13 +161,11 @@ FORCE: dict[str, Section] = {
         kt=Quantity("N/m^2", POSITIVE),
         kr=Quantity(""),
         ke=Quantity("N/m", NOT_NEGATIVE, required=False),
-        h0=Quantity("m", POSITIVE, required=False),
     ),
     "exponential": _force(
         kf=Quantity(f"N/m^{EXPONENT}", POSITIVE),
         m=Quantity("", Range(0, 1, closed=False)),
         kr=Quantity(""),
-        h0=Quantity("m", POSITIVE, required=False),
     ),
 }
 """The keys of [force], which depend on the law."""

@@ -19,7 +19,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from ._block import Process, cutting, solve
+from ._block import Process, solve
 from ._case import Case
 from ._chip import Angles, past_surfaces
 from ._contact import Borders, borders_met
@@ -133,8 +133,7 @@ def _simulate(case: Case) -> Simulation:
         past = past_surfaces(angles, displacement, velocity, feed_per_tooth, cut.feed_rate, tip_speed)
         borders = borders.moved(travelled)
         process = Process(law, angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle)
-        force, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
-        _, chip = cutting(process, response.position(state, force))
+        force, chip, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
         motion = (response.position(state, force), response.velocity(state, force))
         traces = (jnp.stack(force), response.axes(state, force), chip)
         return response.end(state, force), (motion, force, traces, jnp.zeros(()) if rigid else change)
