@@ -5,9 +5,10 @@ import math
 import os
 from pathlib import Path
 
+import tomlkit
 from rich.table import Table
 
-from millax import CaseError
+from millax import CaseError, Settings
 
 from ._fit import Progress, fit
 from ._fitfile import FitProblem, load_fit
@@ -43,11 +44,21 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike) -> int:
             (Path(out_dir) / "fitted.toml").unlink(missing_ok=True)
         else:
             estimates = {e.name: value_of(result.case, e.name) for e in result.parameters}
-            (folder / "fitted.toml").write_text(problem.file.with_values(estimates), encoding="utf-8")
+            text = problem.file.with_values(estimates)
+            if result.case.settings.sweeps != problem.case.settings.sweeps:
+                text = _with_numerics(text, result.case.settings)
+            (folder / "fitted.toml").write_text(text, encoding="utf-8")
         names = ", ".join(sorted(file.name for file in folder.iterdir()))
     _show(result)
     console.print(f"{out_dir}: {names}", markup=False)
     return _EXIT.get(result.status, 1)
+
+
+def _with_numerics(text: str, settings: Settings) -> str:
+    """A case file in which blocks and sweeps are those that the fit needed: it must simulate as it is."""
+    document = tomlkit.parse(text)
+    document["simulation"].update({"blocks": settings.blocks, "sweeps": settings.sweeps})
+    return tomlkit.dumps(document)
 
 
 def _fit(problem: FitProblem) -> FitResult:

@@ -119,6 +119,14 @@ def test_a_fit_writes_what_was_found(make, tmp_path, capsys):
     assert "converged: All 2 parameters found." in printed
 
 
+def test_the_fitted_case_has_the_sweeps_that_the_fit_needed(make, tmp_path):
+    structure = '[structure]\naxes = ["x"]\nmass = "100 kg"\nstiffness = "1e8 N/m"\ndamping_ratio = 0.05\n'
+    case = make([("[simulation]\n", f"{structure}[simulation]\nsweeps = 1   # too few\n")])
+    assert main(["simulate", str(case), "--out", str(tmp_path / "before")]) == 1
+    main(["fit", str(case), "--out", str(tmp_path / "fit")])
+    assert main(["simulate", str(tmp_path / "fit" / "fitted.toml"), "--out", str(tmp_path / "after")]) == 0
+
+
 def test_an_answer_that_is_no_is_exit_code_1_and_written(make, tmp_path):
     path, out = make([('"force.kr" = 0.5', "cut.depth = {}")]), tmp_path / "out"
     assert run(path, out) == 1
