@@ -34,20 +34,26 @@ def test_slot_means_in_first_order():
     assert mean[0] / mean[1] == pytest.approx(-0.3, rel=1e-6)  # F_x/F_y = -k_r exactly
 
 
-def test_rigid_slot_against_exact_tooth_paths():
-    case = slot(axes=(), stock=ENDLESS, steps_per_tooth=40, duration=0.0015)
+@pytest.mark.parametrize("teeth", [1, 3, 4])
+def test_rigid_slot_against_exact_tooth_paths(teeth):
+    case = slot(axes=(), stock=ENDLESS, steps_per_tooth=160 // teeth, duration=0.006, teeth=teeth)
     sim = mx.simulate(case)
-    tau, speed, feed = 0.0015, 10000 * RPM, 4 / 60
-    expected = np.zeros((40, 2))
+    speed, feed = 10000 * RPM, 4 / 60
+    tau = 2 * np.pi / (speed * teeth)
+    expected, chips = np.zeros((len(sim.time), 2)), np.zeros((len(sim.time), teeth))
     for j, t in enumerate(np.asarray(sim.time)):
-        for tooth in range(4):
-            h = exact_thickness(lambda s: np.array([feed * s, 0.0]), 0.01, speed, 4, t, tooth, 3, tau)
-            phi = speed * t + tooth * np.pi / 2
+        for tooth in range(teeth):
+            h = exact_thickness(lambda s: np.array([feed * s, 0.0]), 0.01, speed, teeth, t, tooth, 3, tau)
+            phi = speed * t + 2 * np.pi * tooth / teeth
             expected[j] += plane_force(phi, 1e-3 * fractional(h, 5e9, 18e-6, 0.1), 0.3)
-    force = np.asarray(sim.force)[:, :2]
-    inner = slice(2, -2)  # away from the kink at +-90 degrees, where a step mean is not a sample
-    assert np.abs(force - expected)[inner].max() < 2e-3 * np.abs(expected).max()
-    assert np.sqrt(((force - expected) ** 2).mean() / (expected**2).mean()) < 2e-3
+            chips[j, tooth] = max(h, 0.0)
+    # A step mean is not a sample where a tooth starts or ends to cut, at +-90 degrees: compare the other steps.
+    phi = speed * np.asarray(sim.time)[:, None] + 2 * np.pi * np.arange(teeth) / teeth
+    away = (np.abs(np.cos(phi)) > 2 * np.pi / 160 * 2).all(axis=1)
+    error = np.abs(np.asarray(sim.force)[:, :2] - expected).max(axis=1) / np.abs(expected).max()
+    assert away.mean() > 0.7
+    assert error[away].max() < 2e-3  # second order in the step; the largest where thin chips bend the law
+    assert np.abs(np.asarray(sim.chip_thickness) - chips)[away].max() < 1e-3 * chips.max()
 
 
 def step_by_step(case, steps_per_tooth):
