@@ -135,12 +135,13 @@ def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[in
     thickness = jnp.maximum(cut.feed_per_tooth(tool), settings.width)
     in_contact = (tool.teeth + 1) // 2
     kappa = float(in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2))
+    forced = eqx.filter_jit(block_response)(structure, cut.tooth_period(tool) / steps, steps).position.forced
+    gain = kappa * np.linalg.norm(np.asarray(forced), axis=(0, 1))
     options = []
     for parts in [blocks] if blocks else [p for p in range(1, steps + 1) if steps % p == 0 and p <= 16]:
-        response = block_response(structure, cut.tooth_period(tool) / steps, steps // parts).position.forced
-        gain = kappa * np.linalg.norm(np.asarray(response), axis=(0, 1))
-        count, power = 1, np.eye(len(gain))
-        while np.abs(power).sum(axis=1).max() > RESIDUAL_TOLERANCE and count < 30:
-            count, power = count + 1, power @ gain
+        m = steps // parts  # the response does not depend on when the block begins: a corner of that to a whole period
+        count, power = 1, np.eye(m)
+        while power.sum(axis=1).max() > RESIDUAL_TOLERANCE and count < 30:
+            count, power = count + 1, power @ gain[:m, :m]
         options.append((parts * (5 + 1.2 * count) + 1.5 * count, parts, sweeps or count))  # microseconds, measured
     return min(options)[1:]
