@@ -41,7 +41,7 @@ class Process(eqx.Module):
 def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, Float[Array, "teeth m"]]:
     """Mean force on the tool in each step [N], and the mean chip thickness of each tooth [m]."""
     p = process
-    gap, rate = thickness(p.angles, p.past, displacement, p.radius, p.width)
+    gap, rate = thickness(p.angles, p.past, displacement, p.radius, p.width, p.step_angle)
     contact = crossing(p.law, p.borders, displacement, gap, rate, p.step_angle, p.width)
     return plane_force(p.angles, contact, p.law.kr, p.depth), contact.thickness
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._math import minimum
+from ._math import half_change, positive_part, preferred
 from ._types import Scalar
 
 
@@ -64,17 +64,24 @@ def thickness(
     displacement: Float[Array, "2 m"],
     radius: Scalar,
     width: Scalar,
+    step_angle: float,
 ) -> tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]]:
-    """min_k g_k [m], negative out of contact, and its rate of change with the tooth angle, e . D_1 [m/rad]."""
+    """g_k [m] of the pass that leaves the least, negative out of contact, and its rate e . D_k [m/rad] with the tooth angle.
+
+    The least on the average of the step: in a step in which a tooth begins or ends to cut, that is another pass than the
+    one with the smallest g_k in its middle.
+    """
     ux, uy = displacement
     radial = angles.cos * ux - angles.sin * uy
     tangential = -angles.sin * ux - angles.cos * uy
-    gaps = []
+    passes = []
     for k in range(past.radial.shape[0]):
         across = tangential + past.tangential[k]
         gap = radial + past.radial[k] + across * (across / (2 * radius) - past.slope[k])
-        gaps.append((jnp.where(jnp.abs(across) < radius, gap, radius), across))
-    (g, rate), *earlier = gaps
-    for gap, _ in earlier:
-        g = minimum(g, gap, width)
-    return g, rate
+        gap = jnp.where(jnp.abs(across) < radius, gap, radius)
+        passes.append((gap, across, positive_part(gap, half_change(across, step_angle, width))))
+    least, *others = passes
+    for other in others:
+        weight = preferred(least[2], other[2], width)
+        least = [a + weight * (b - a) for a, b in zip(least, other, strict=True)]
+    return least[0], least[1]

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from ._chip import Angles
 from ._forces import ForceLaw
-from ._math import minimum, positive_part
+from ._math import half_change, minimum, positive_part
 from ._stock import Stock
 from ._types import Scalar
 
@@ -35,6 +35,8 @@ class Borders(NamedTuple):
     """1/abs(N . n) at the middle of the step."""
     exits: Float[Array, "borders teeth m"]
     """1 where the border is behind the tip, 0 where it is before it."""
+    bulge: Float[Array, "borders teeth m"]
+    """By how much x lies beyond the chord of the tip's path in the middle of the step [m]."""
 
     def moved(self, x: Scalar) -> "Borders":
         """The borders as they are met after a feed of x [m]."""
@@ -49,21 +51,21 @@ def borders_met(stock: Stock, radius: Scalar, centres, phi: np.ndarray, step_ang
     """
     nx, ny = stock.normals.T[:, :, None, None]
     across = nx * np.cos(phi) - ny * np.sin(phi)
-    # The tip moves on a circle: near the border it lies beyond its chord by d'' step²/12 on the average of the step.
-    bulge = radius * across * step_angle**2 / 12
+    # A ray nearly parallel to a border meets it in a step whose length does not matter.
+    steepness = 1 / jnp.sqrt(across**2 + 1e-6)
 
     def inside(centre, angle):
         x, y = centre
         towards = nx * np.cos(angle) - ny * np.sin(angle)
-        return stock.offsets[:, None, None] - nx * x - ny * y - radius * towards - bulge
+        return stock.offsets[:, None, None] - nx * x - ny * y - radius * towards
 
     return Borders(
         normals=jnp.broadcast_to(stock.normals, (len(phi), *stock.normals.shape)),
         before=inside(centres[0], phi - step_angle / 2),
         after=inside(centres[1], phi + step_angle / 2),
-        # A ray nearly parallel to a border meets it in a step whose length does not matter.
-        steepness=1 / jnp.sqrt(across**2 + 1e-6),
+        steepness=steepness,
         exits=jnp.where(across > 0, 1.0, 0.0),
+        bulge=-radius * across * steepness * step_angle**2 / 8,  # the tip moves on a circle
     )
 
 
@@ -92,13 +94,14 @@ def crossing(
     `gap` [m] is the thickness at the middle of the step, negative out of contact, and `rate` [m/rad] its change with the
     tooth angle.
     """
-    half = jnp.sqrt(width**2 + (rate * step_angle / 2) ** 2 + 1e-30)
+    half = half_change(rate, step_angle, width)
     h = positive_part(gap, half)
     if borders.normals.shape[0] == 0:
         return Contact(_mean_force(law, gap, half), h, jnp.zeros_like(h))
     shift = (borders.normals @ displacement)[:, None]
-    start = _nearest((borders.before - shift) * borders.steepness + borders.exits * h, width)
-    end = _nearest((borders.after - shift) * borders.steepness + borders.exits * h, width)
+    chord = [(d - shift) * borders.steepness + borders.exits * h for d in (borders.before, borders.after)]
+    raised = borders.bulge * _raise(*chord, borders.bulge)
+    start, end = (_nearest(x + raised, width) for x in chord)
     # A step during which x hardly changes is widened to `width`: the mean stays defined, and is the value itself.
     length = jnp.sqrt((end - start) ** 2 + width**2 + 1e-24)
     middle = (start + end) / 2
@@ -111,8 +114,22 @@ def crossing(
     moment = (ramp_high**3 - ramp_low**3) / 3 + h * full * ((full_high + full_low) / 2)
     centre = jnp.where(area > 0, moment / jnp.where(area > 0, area, 1.0) - middle, 0.0)
     turn = centre * (end - start) / length**2 * step_angle
-    force = (law.work(ramp_low, ramp_high) + _mean_force(law, gap + rate * turn, half) * full) / length
+    # The rest of the step, at full thickness, is shorter than the step and lies past its middle by `turn`.
+    plateau = _mean_force(law, gap + rate * turn, half_change(rate * full / length, step_angle, width))
+    force = (law.work(ramp_low, ramp_high) + plateau * full) / length
     return Contact(force, area / length, turn)
+
+
+def _raise(start, end, bulge):
+    """By which part of the height of an arc its chord has to be raised to have the same mean positive part.
+
+    The arc is chord + 4 bulge s (1 - s). With the chord positive on a part p of the step, the mean gains 2 p² - 4/3 p³ times
+    the bulge from the arc, and p times a raise of the chord. The part is taken in between, at the mean height of the arc.
+    """
+    length = jnp.abs(end - start) + 1e-12
+    high = jnp.maximum(start, end) + 2 / 3 * bulge
+    part = jnp.clip(high / length, 0.0, 1.0)
+    return part * (2 - 4 / 3 * part)
 
 
 def _mean_force(law: ForceLaw, gap, half):

@@ -24,3 +24,14 @@ def positive_part(x: Float[Array, "..."], width: Float[Array, "..."]) -> Float[A
 def minimum(a: Float[Array, "..."], b: Float[Array, "..."], width: Float[Array, "..."]) -> Float[Array, "..."]:
     """min(a, b), blended: differs from the hard minimum only where abs(a - b) < w, by at most w/4 and downwards."""
     return a - positive_part(a - b, width)
+
+
+def half_change(rate: Float[Array, "..."], step: float, width: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Half of what a quantity changes by in a step of the tooth angle, widened to `width`: a mean over both."""
+    return jnp.sqrt(width**2 + (rate * step / 2) ** 2 + _TINY)
+
+
+def preferred(a: Float[Array, "..."], b: Float[Array, "..."], width: Float[Array, "..."]) -> Float[Array, "..."]:
+    """1 where a > b and b is to be taken as the smaller, 0 where a < b; smooth where they differ by less than w/4."""
+    t = jnp.clip(2 * (a - b) / (width + 1e-15) + 0.5, 0.0, 1.0)
+    return t * t * (3 - 2 * t)

@@ -23,7 +23,7 @@ def model_thickness(motion, velocity, t, tooth, passes):
         jnp.asarray(FEED),
         jnp.asarray(SPEED * RADIUS),
     )
-    gap, _ = thickness(angles, past, jnp.array(motion(t))[:, None], jnp.asarray(RADIUS), jnp.asarray(0.0))
+    gap, _ = thickness(angles, past, jnp.array(motion(t))[:, None], jnp.asarray(RADIUS), jnp.asarray(0.0), 1e-6)
     return float(gap[0, 0])
 
 

@@ -60,15 +60,11 @@ def test_reverse_mode_agrees_with_forward_mode(routes):
 @pytest.mark.parametrize("index", range(len(LEAVES)), ids=LEAVES.keys())
 def test_forward_mode_agrees_with_central_differences(routes, index):
     scaled, one, forward, _, _ = routes
-    step = 2e-6
-    difference = (scaled(one.at[index].add(step)) - scaled(one.at[index].add(-step))) / (2 * step)
     column = forward[:, index]
     assert np.abs(column).max() > 1e-2
-    error = np.abs(difference - column) / np.abs(column).max()
-    # The diameter moves the border through the teeth: a few steps hold a kink, where the difference is not a derivative.
-    if index == list(LEAVES).index("tool.diameter"):
-        error = np.sort(error)[: -len(error) // 100]
-    assert error.max() < 1e-6
+    step = 1e-5 / np.abs(column).max()  # small against the curvature of the traces, large against their rounding
+    difference = (scaled(one.at[index].add(step)) - scaled(one.at[index].add(-step))) / (2 * step)
+    assert np.abs(difference - column).max() < 1e-6 * np.abs(column).max()
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential", "fractional"])

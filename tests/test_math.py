@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from millax._math import minimum, positive_part
+from millax._math import half_change, minimum, positive_part, preferred
 
 
 def test_positive_part_is_the_mean_of_the_hard_one():
@@ -31,3 +31,17 @@ def test_gradients_at_the_kinks(x, width):
     else:
         assert slope == {-1.0: 0.0, 0.0: 0.5, 1.0: 1.0}[x]
     assert jnp.isfinite(jax.grad(positive_part, argnums=1)(x, width))
+
+
+def test_the_preferred_of_two_is_the_smaller():
+    assert preferred(1.0, 2.0, 1.0) == 0
+    assert preferred(2.0, 1.0, 1.0) == 1
+    assert preferred(1.5, 1.5, 1.0) == 0.5
+    assert [float(preferred(a, b, 0.0)) for a, b in ((1.0, 2.0), (2.0, 1.0))] == [0.0, 1.0]
+    assert jnp.isfinite(jax.grad(preferred)(1.0, 1.0, 0.0))
+
+
+def test_half_change_has_a_gradient_where_nothing_changes():
+    assert half_change(3.0, 0.5, 0.0) == pytest.approx(0.75)
+    assert half_change(0.0, 0.5, 2.0) == pytest.approx(2.0)
+    assert jnp.isfinite(jax.grad(half_change)(0.0, 0.5, 0.0))
