@@ -99,9 +99,10 @@ def crossing(
     if borders.normals.shape[0] == 0:
         return Contact(_mean_force(law, gap, half), h, jnp.zeros_like(h))
     shift = (borders.normals @ displacement)[:, None]
-    chord = [(d - shift) * borders.steepness + borders.exits * h for d in (borders.before, borders.after)]
-    raised = borders.bulge * _raise(*chord, borders.bulge)
-    start, end = (_nearest(x + raised, width) for x in chord)
+    start = (borders.before - shift) * borders.steepness + borders.exits * h
+    end = (borders.after - shift) * borders.steepness + borders.exits * h
+    raised = borders.bulge * _raise(start, end, borders.bulge)
+    start, end = _nearest(start + raised, width), _nearest(end + raised, width)
     # A step during which x hardly changes is widened to `width`: the mean stays defined, and is the value itself.
     length = jnp.sqrt((end - start) ** 2 + width**2 + 1e-24)
     middle = (start + end) / 2
