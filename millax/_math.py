@@ -5,8 +5,7 @@ continuously differentiable; its largest bias is ``w / 4``, at the kink itself, 
 second order in ``w``. The same quadratic is the exact mean of the hard gate over an interval of half-length ``w``: the
 model uses one formula to smooth in space and to average over a time step.
 
-At ``w = 0`` the gates are the hard functions; the derivative at the kink is then the one from below (0 for the positive
-part, the derivative of the first argument for the minimum of equal arguments).
+At ``w = 0`` the gates are the hard functions; the derivative at the kink is then the mean of those on its two sides.
 """
 
 import jax.numpy as jnp
