@@ -9,11 +9,11 @@ import tomlkit
 from rich.table import Table
 
 from millax import CaseError, Settings
+from millax._names import value_of
 
 from ._fit import Progress, fit
 from ._fitfile import FitProblem, load_fit
 from ._output import complain, console, staged
-from ._parameters import value_of
 from ._report import write_report
 from ._result import FitResult
 from ._traces import TraceError

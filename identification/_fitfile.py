@@ -23,10 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from millax import Case, CaseError, CaseFile
+from millax._names import Number, read_value, valid_names
 from millax._units import show
 
 from ._compare import compare
-from ._parameters import Number, Parameter, free, read_value, valid_names
+from ._parameters import Parameter, free
 from ._traces import Trace, read_trace
 
 _FREE_KEYS = ("guess", "bounds")

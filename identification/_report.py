@@ -8,8 +8,9 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from millax._names import value_of
+
 from . import _figures as figures
-from ._parameters import value_of
 from ._result import STATUS, FitResult, TraceFit
 from ._words import interval, plain, unit_words, with_error
 

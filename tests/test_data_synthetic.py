@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from identification import fit, load_fit
-from identification._parameters import value_of
+from millax._names import value_of
 
 DATA = Path(__file__).parents[1] / "data_synthetic"
 CASES = sorted(DATA.glob("*.toml"))

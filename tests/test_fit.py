@@ -11,9 +11,9 @@ from cases import slot
 import millax as mx
 from identification import Parameter, Trace, TraceError, _fit, fit
 from identification._fit import triangle
-from identification._parameters import valid_names
 from identification._solver import Steps
 from identification._transforms import Above
+from millax._names import valid_names
 
 NOISE = {"Fx": 2.0, "Fy": 2.0, "x": 1e-6, "y": 1e-6}
 

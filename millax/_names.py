@@ -1,0 +1,141 @@
+"""The numbers of a case by their names: which there are, what they may be, and a case with others in their place."""
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array
+
+from ._case import Case
+from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range
+from ._forces import ExponentialLaw
+from ._types import AXES
+from ._units import parse, show
+
+Number = float | str
+"""A number in SI units, or a text with a unit: 0.018, "18 um"."""
+
+
+def valid_names(case: Case) -> list[str]:
+    """The names of all numbers of `case`: those of a case file, with the axis where there is one number per axis."""
+    return list(_places(case))
+
+
+def value_of(case: Case, name: str) -> float:
+    """The number called `name` in SI units. Raises `ValueError` for an unknown name."""
+    section, key, index = _place(case, name)
+    return float(getattr(getattr(case, section), key)[index])
+
+
+def quantity_of(case: Case, name: str) -> Quantity:
+    """Unit and range of the number called `name`; where the unit has an exponent that depends on the force law, with that
+    exponent as a number. Raises `ValueError` for an unknown name."""
+    quantity = _quantity(case, name)
+    return dataclasses.replace(quantity, unit=quantity.resolved(None, _table(case))[1])
+
+
+def read_value(case: Case, name: str, value: Number, label: str | None = None) -> float:
+    """`value`, a number or a text with a unit, as the SI value of the number called `name`.
+
+    Messages call it `label`, by default its name. Raises `ValueError` for an unknown name, a unit of another kind and what
+    is not one number. The range of the quantity is not looked at.
+    """
+    label = name if label is None else label
+    number = parse(label, *_quantity(case, name).resolved(value, _table(case)))
+    if not isinstance(number, float):
+        raise ValueError(f"{label}: {show(value)} given; it must be one number")
+    return number
+
+
+def replace(case: Case, values: Mapping[str, Array]) -> Case:
+    """`case` with the numbers of these names replaced by SI values. Differentiable. Nothing else changes: `cut.start` stays
+    where it is with another `tool.diameter`. Raises `ValueError` for an unknown name."""
+    leaves = _leaves(case)
+    changed: dict[tuple[str, str], Array] = {}
+    for name, value in values.items():
+        section, key, index = _place(case, name)
+        leaf = changed.get((section, key), leaves[section, key])
+        changed[section, key] = leaf.at[index].set(value)
+    return eqx.tree_at(lambda c: [getattr(getattr(c, s), k) for s, k in changed], case, list(changed.values()))
+
+
+def _quantity(case: Case, name: str) -> Quantity:
+    """What the table of case-file keys says about a number."""
+    section, key, _ = _place(case, name)
+    quantity = (FORCE[_law(case)] if section == "force" else SECTIONS[section]).keys[key]
+    assert isinstance(quantity, Quantity)
+    if (section, key) == ("structure", "stiffness") and quantity.range == Range():
+        # A matrix may hold negative entries; the numbers that have names are diagonal, and those hold the tool.
+        return dataclasses.replace(quantity, range=POSITIVE)
+    return quantity
+
+
+def _table(case: Case) -> dict[str, float]:
+    """What the unit of a force coefficient may depend on: the exponent of its law."""
+    return {"m": float(case.force.m)} if isinstance(case.force, ExponentialLaw) else {}
+
+
+def _law(case: Case) -> str:
+    return next(law for law, kind in LAWS.items() if type(case.force) is kind)
+
+
+Place = tuple[str, str, tuple[int, ...]]
+"""Section and key of a case file, and the index of the number within the leaf."""
+
+
+def _leaves(case: Case) -> dict[tuple[str, str], Array]:
+    """Every leaf that is a number, or numbers, of the case file."""
+    tables = {section: (FORCE[_law(case)] if section == "force" else table) for section, table in SECTIONS.items()}
+    return {
+        (section, key): leaf
+        for section, table in tables.items()
+        for key, kind in table.keys.items()
+        if kind.parameter and (leaf := getattr(getattr(case, section), key)) is not None
+    }
+
+
+def _places(case: Case) -> dict[str, Place]:
+    places: dict[str, Place] = {}
+    for (section, key), leaf in _leaves(case).items():
+        shape = np.shape(leaf)
+        if shape == ():
+            places[f"{section}.{key}"] = (section, key, ())
+        elif len(shape) == 1:
+            for i, part in enumerate(_parts(case, section, shape[0])):
+                places[f"{section}.{key}.{part}"] = (section, key, (i,))
+    return places
+
+
+def _parts(case: Case, section: str, n: int) -> list[str]:
+    """Names of the n numbers of a leaf: directions, or numbers from 0 where the coordinates are not directions."""
+    if section != "structure":
+        return list(AXES[:n])
+    return list(case.structure.axes) if case.structure.mode_shapes is None else [str(i) for i in range(n)]
+
+
+def _place(case: Case, name: str) -> Place:
+    places = _places(case)
+    if name in places:
+        return places[name]
+    whole = ".".join(name.split(".")[:2])
+    members = [known for known in places if known.startswith(f"{name}.")]
+    shapes = {f"{section}.{key}": np.shape(leaf) for (section, key), leaf in _leaves(case).items()}
+    if len(shapes.get(whole, ())) == 2:
+        raise ValueError(
+            f"{name}: the case gives {whole} as a matrix, whose entries have no names; give one number per axis"
+        )
+    if members:
+        raise ValueError(
+            f"{name}: the case gives {len(members)} numbers; name them one by one: {', '.join(members)}, or give one number "
+            "for all in the case"
+        )
+    if whole in places:
+        raise ValueError(
+            f"{name}: the case gives one number for all axes; name it {whole}, or give a list with one number per axis in "
+            "the case"
+        )
+    near = difflib.get_close_matches(name, places, n=1, cutoff=0.5)
+    suggestion = f"did you mean {near[0]}?" if near else "this is no number of the case."
+    raise ValueError(f"{name}: unknown parameter; {suggestion} Valid: {', '.join(places)}")
