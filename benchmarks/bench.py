@@ -1,93 +1,87 @@
-"""How fast millax is: `make bench`. Every figure is a ratio inside one run, since machines are noisy.
+"""How fast millax is, beside other ways to compute the same: `make bench`.
 
-The case: 2-DOF slot, 4 teeth, 3 passes, 40 steps per tooth period, 1 s of cutting at 10 000 rpm (26 680 steps), float64.
+    python -m benchmarks.bench [SUBJECT ...] [--long] [--write docs/speed.md]
+
+Every figure is a ratio inside one run, of times taken in turn, since machines are noisy. Exit code 1 where a target is
+missed.
 """
 
-import os
+import argparse
+import importlib
 import platform
 import time
+from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 jax.config.update("jax_enable_x64", True)
 
-import millax as mx  # noqa: E402
+SUBJECTS = {
+    "single": "One simulation",
+    "derivatives": "Derivatives",
+    "batch": "Batches",
+    "light": "A light tool mode",
+    "scaling": "Growth of the cost",
+    "lobes": "A stability diagram from the time domain",
+    "fits": "A fit",
+    "precision": "Single precision",
+    "memory": "Memory",
+    "startup": "Start",
+}
 
-from .slot import scaled, slot  # noqa: E402
-from .yardsticks import c_loop, step_by_step  # noqa: E402
+HEAD = """# Speed
 
-ROUNDS = 15
+Made by `make bench`, which prints these tables and fails where a target is missed.
 
+The cut: a slot, 4 teeth, 3 passes remembered, 40 steps per tooth period, 10 000 rpm, 2 degrees of freedom, float64, unless
+said otherwise. A ratio is the median over rounds in which all programs run in turn. Beside the engine:
 
-def interleaved(functions: dict) -> dict[str, float]:
-    """Median time of each function [s], all of them in turn, so that a slow spell of the machine slows them alike."""
-    times = {name: [] for name in functions}
-    for function in functions.values():
-        jax.block_until_ready(function())
-    for _ in range(ROUNDS):
-        for name, function in functions.items():
-            begin = time.perf_counter()
-            jax.block_until_ready(function())
-            times[name].append(time.perf_counter() - begin)
-    return {name: float(np.median(t)) for name, t in times.items()}
+- **C, same model**: the equations of millax as a plain scalar loop over time steps (`benchmarks/same_model.c`), one core,
+  `gcc -O3 -march=native -ffast-math`. Converged, both agree to rounding.
+- **C, sampled**: a simpler model (`benchmarks/sampled.c`): hard gates, the force sampled once in each step.
+- **lax.scan over steps**: the same model, one step after the other (`benchmarks/scan.py`).
+- **papers' grid**: the workpiece as nodes of 0 and 1 (`benchmarks/grid.py`).
 
-
-def parameters(case: mx.Case):
-    return [
-        case.force.k0,
-        case.force.hs,
-        case.force.r,
-        case.force.kr,
-        case.structure.damping_ratio,
-        case.structure.stiffness,
-    ]
+![Time per step of everything beside the C loops, and growth of the cost](speed.png)
+"""
 
 
 def main() -> int:
-    console = Console(width=110)
-    case = slot(duration=1.0)
-    one = jnp.ones(6)
-    sim = mx.simulate(case)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"one of {', '.join(SUBJECTS)} (default: all)")
+    parser.add_argument("--long", action="store_true", help="measure in full what is otherwise extrapolated")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="also write a Markdown file, and a picture beside it")
+    options = parser.parse_args()
+    unknown = set(options.subjects) - set(SUBJECTS)
+    if unknown:
+        parser.error(f"unknown subject {', '.join(sorted(unknown))}; choose from {', '.join(SUBJECTS)}")
 
-    def force(factors):
-        return mx.simulate(scaled(case, parameters, list(factors)), throw=False).force
+    from .figures import markdown, show
+    from .speed.run import Run
 
-    simulate = jax.jit(force)
-    jacobian = jax.jit(jax.jacfwd(force))
-    gradient = jax.jit(jax.grad(lambda factors: jnp.sum(force(factors) ** 2)))
-    batch = jax.jit(jax.vmap(force))
-    many = 1 + 0.01 * jnp.arange(8)[:, None] * one
+    run, console, begin = Run(long=options.long), Console(width=130), time.perf_counter()
+    pages, missed, count = [], [], 0
+    for subject in options.subjects or SUBJECTS:
+        figures = show(console, SUBJECTS[subject], importlib.import_module(f".speed.{subject}", __package__).figures(run))
+        pages.append(markdown(SUBJECTS[subject], figures))
+        missed += [figure for figure in figures if figure.met is False]
+        count += sum(figure.met is not None for figure in figures)
+        jax.clear_caches()
+    made = (
+        f"{count - len(missed)} of {count} targets met in {time.perf_counter() - begin:.0f} s; {platform.machine()}, "
+        f"{run.cores} cores, Python {platform.python_version()}, JAX {jax.__version__}, NumPy {np.__version__}."
+    )
+    console.print(made)
+    for figure in missed:
+        console.print(f"missed: {figure.what}: {figure.measured}, target {figure.target}", style="bold red")
+    if options.write:
+        from .speed.picture import draw
 
-    functions = {
-        "one simulation": lambda: simulate(one),
-        "step-by-step lax.scan": step_by_step(case),
-        "Jacobian, 6 parameters, forward mode": lambda: jacobian(one),
-        "gradient, reverse mode": lambda: gradient(one),
-        "batch of 8 by vmap": lambda: batch(many),
-    }
-    loop = c_loop(case)
-    if loop is None:
-        console.print("No gcc here: the figures against the C loop are left out.")
-    else:
-        functions["plain C loop, gcc -O3 -march=native -ffast-math"] = loop
-        difference = np.abs(loop()[1] - np.asarray(sim.displacement)).max() / np.abs(np.asarray(sim.displacement)).max()
-        console.print(f"C loop and millax agree to {100 * difference:.2g} % of the largest displacement.")
-    times = interleaved(functions)
-
-    times["batch of 8, per simulation"] = times["batch of 8 by vmap"] / len(many)
-    steps, base = case.settings.steps, times["one simulation"]
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, JAX {jax.__version__}"
-    table = Table(title=f"{steps} steps; {machine}", show_edge=False)
-    for column, justify in (("", "left"), ("ns per step", "right"), ("× one simulation", "right")):
-        table.add_column(column, justify=justify)
-    for name, seconds in sorted(times.items(), key=lambda item: item[1]):
-        table.add_row(name, f"{1e9 * seconds / steps:.0f}", f"{seconds / base:.2f}")
-    console.print(table)
-    return 0
+        options.write.write_text("\n".join([HEAD, made, "", *pages]).rstrip() + "\n", encoding="utf-8")
+        draw(run).savefig(options.write.with_suffix(".png"), dpi=110, metadata={"Software": None})
+    return 1 if missed else 0
 
 
 if __name__ == "__main__":

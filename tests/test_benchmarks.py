@@ -1,5 +1,6 @@
 """The programs of `make validate` and `make bench`: their yardsticks compute the same cut, their tables can say no."""
 
+import dataclasses
 import importlib
 
 import numpy as np
@@ -7,25 +8,77 @@ import pytest
 from rich.console import Console
 
 import millax as mx
+from benchmarks import compiled
 from benchmarks.figures import Figure, below, near, show
-from benchmarks.slot import slot
+from benchmarks.scan import step_by_step
+from benchmarks.slot import light, six_coordinates, slot
 from benchmarks.validate import SUBJECTS
 from benchmarks.validation import programs
-from benchmarks.yardsticks import c_loop, step_by_step
+
+needs_gcc = pytest.mark.skipif(not compiled.have_compiler(), reason="the C loops need gcc")
 
 
-def test_the_yardsticks_compute_the_same_cut():
-    # Both sample the force of a step, hard-gated, which costs accuracy at the border: 3 % of the displacement.
+def error(values, reference):
+    """Largest difference over the largest value."""
+    return np.abs(np.asarray(values) - np.asarray(reference)).max() / np.abs(np.asarray(reference)).max()
+
+
+def with_stock(stock):
+    return dataclasses.replace(slot(duration=0.12), stock=stock)
+
+
+def with_teeth(teeth):
+    return dataclasses.replace(slot(duration=0.1), tool=mx.EndMill(0.02, teeth), settings=mx.Settings(60, 40, 3))
+
+
+CUTS = {
+    "slot": lambda: slot(duration=0.12),
+    "no border": lambda: slot(duration=0.1, border=False),
+    "hard gates": lambda: slot(duration=0.1, width=0.0),
+    "one pass": lambda: slot(duration=0.1, passes=1),
+    "blocks": lambda: slot(duration=0.1, blocks=4),
+    "half immersion": lambda: with_stock(mx.Stock.box((0.0, None), (None, 0.0))),
+    "walls, entry and exit": lambda: with_stock(mx.Stock.box((0.0, 0.004), (-0.003, 0.005))),
+    "oblique borders": lambda: with_stock(mx.Stock(np.array([[-0.96, 0.28], [0.6, 0.8]]), np.array([0.002, 0.006]))),
+    "one tooth": lambda: with_teeth(1),
+    "five teeth": lambda: with_teeth(5),
+    "light tool mode at its limit": lambda: light(duration=0.1),
+    "six coordinates, full matrices": lambda: six_coordinates(duration=0.1),
+}
+
+
+@needs_gcc
+@pytest.mark.parametrize("cut", CUTS)
+def test_the_engine_agrees_with_the_c_loop(cut):
+    # Nothing in common but the equations: C, one step after the other, converged in each. 1e-9 leaves room for rounding.
+    case = CUTS[cut]()
+    case = dataclasses.replace(case, settings=dataclasses.replace(case.settings, sweeps=30))
+    sim, loop = mx.simulate(case), compiled.same_model(case, tolerance=1e-18)()
+    assert error(sim.force[:, :2], loop.force) < 1e-9
+    assert error(sim.displacement[:, :2], loop.displacement) < 1e-9
+    assert error(sim.chip_thickness, loop.thickness) < 1e-9
+
+
+@needs_gcc
+def test_the_c_loop_is_as_good_as_the_engine_at_the_tolerance_at_which_it_is_timed():
+    case = slot(duration=0.12)
+    assert error(compiled.same_model(case)().force, compiled.same_model(case, tolerance=1e-18)().force) < 1e-6
+
+
+@needs_gcc
+def test_the_simplified_loop_computes_the_same_cut():
+    # It samples the force of a step behind hard gates, which costs accuracy at the border: 3 % of the displacement.
     case = slot(duration=0.1)
-    sim = mx.simulate(case)
-    runs = {"scan": step_by_step(case)()}
-    loop = c_loop(case)
-    if loop is not None:  # without gcc there is no such row in the benchmark either
-        runs["C"] = loop()
-    for force, displacement in runs.values():
-        largest = np.abs(sim.displacement).max()
-        assert np.abs(np.asarray(displacement) - np.asarray(sim.displacement)).max() < 0.05 * largest
-        assert np.abs(np.asarray(force).mean(0) - np.asarray(sim.force).mean(0)[:2]).max() < 0.02 * np.abs(sim.force).max()
+    sim, loop = mx.simulate(case), compiled.sampled(case)()
+    assert error(loop.displacement, sim.displacement) < 0.05
+    assert np.abs(loop.force.mean(0) - sim.force.mean(0)[:2]).max() < 0.02 * np.abs(sim.force).max()
+
+
+def test_the_scan_over_steps_agrees_with_the_engine():
+    case = slot(duration=0.05, sweeps=12)
+    sim, (force, displacement) = mx.simulate(case), step_by_step(case)()
+    assert error(force, sim.force[:, :2]) < 1e-9
+    assert error(displacement, sim.displacement) < 1e-9
 
 
 def test_a_missed_target_is_reported():

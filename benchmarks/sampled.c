@@ -1,14 +1,14 @@
-/* The slot of benchmarks/slot.py as a plain scalar loop: the yardstick of `make bench`.
+/* A simpler model than millax's as a plain scalar loop: hard gates, and the force sampled in the middle of each step.
  *
- * Same model, hard gates, force sampled in the middle of each step: 2-DOF structure by its exact transition, second-order
- * chip thickness over `passes` remembered passes, fractional law, a straight border x = 0. The tooth angles repeat every
- * tooth period, so their sines and cosines are tables. */
+ * 2-DOF structure by its exact transition, second-order chip thickness over `passes` remembered passes, fractional law, a
+ * straight border x = 0. First order in the step where a tooth meets the border. The tooth angles repeat every tooth period,
+ * so their sines and cosines are tables. */
 #include <math.h>
 #include <stdlib.h>
 
-void slot(int steps_per_tooth, int teeth, int passes, long steps, double dt, double speed, double feed, double radius,
-          double k0a, double hs, double r, double kr, const double *half, const double *half_in, const double *whole,
-          const double *whole_in, double *force_out, double *move_out)
+void sampled(int steps_per_tooth, int teeth, int passes, long steps, double dt, double speed, double feed, double radius,
+             double k0a, double hs, double r, double kr, const double *half, const double *half_in, const double *whole,
+             const double *whole_in, double *force_out, double *move_out)
 {
     /* half, whole: 4 x 4 transition over half a step and a step; *_in: 4 x 2 input matrices. State (x, y, vx, vy). */
     const int kept = passes * steps_per_tooth;

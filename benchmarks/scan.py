@@ -1,0 +1,74 @@
+"""The obvious program in JAX: a `lax.scan` over time steps, earlier passes in a ring buffer.
+
+The same model as the engine, from the engine's own formulas for one step, and the same agreement of force and
+displacement within it. What differs is only the order of computation: one step after the other.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+import millax as mx
+from millax._block import Process, cutting
+from millax._chip import Angles, past_surfaces
+from millax._simulate import _geometry
+
+from .compiled import discrete, observed, time_step
+
+
+def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.Array, jax.Array]]:
+    """The simulation of `case`, ready to run: force (steps, 2) [N] and displacement (steps, 2) [m].
+
+    `evaluations`: how often the force of a step is computed, each time with the displacement it made before.
+    """
+    tool, cut, s = case.tool, case.cut, case.settings
+    whole_period = dataclasses.replace(case, settings=dataclasses.replace(s, blocks=1))
+    n, kept = s.steps_per_tooth, s.passes * s.steps_per_tooth
+    dt, seen = time_step(case), jnp.asarray(observed(case))
+    (half, half_in), (whole, whole_in) = (map(jnp.asarray, discrete(case, t)) for t in (dt / 2, dt))
+    angles, borders = jax.tree.map(lambda a: _by_step(a, n), _geometry(whole_period, n))
+    earlier = n * jnp.arange(1, s.passes + 1)
+
+    def step(carry, index):
+        state, force, history = carry
+        place, travelled = index % n, (index // n) * cut.feed_per_tooth(tool)
+        now: Angles = jax.tree.map(lambda a: a[place], angles)
+        before = history[(index - earlier) % kept]
+        past = past_surfaces(
+            now,
+            before[:, :2, None],
+            before[:, 2:, None],
+            cut.feed_per_tooth(tool),
+            cut.feed_rate,
+            cut.spindle_speed * tool.radius,
+        )
+        met = jax.tree.map(lambda a: a[place], borders).moved(travelled)
+        process = Process(
+            case.force, now, past, met, tool.radius, cut.depth, s.width, step_angle=2 * jnp.pi / (tool.teeth * n)
+        )
+
+        def motion(force):
+            return seen @ (half @ state + half_in @ force)
+
+        for _ in range(evaluations):
+            (fx, fy), _ = cutting(process, motion(force)[:2, None])
+            force = jnp.concatenate([fx, fy])
+        middle = motion(force)
+        history = history.at[index % kept].set(middle)
+        return (whole @ state + whole_in @ force, force, history), (force, middle[:2])
+
+    @jax.jit
+    def run():
+        start = (jnp.zeros(len(half)), jnp.zeros(2), jnp.zeros((kept, 4)))
+        return lax.scan(step, start, jnp.arange(s.steps))[1]
+
+    return run
+
+
+def _by_step(a, n):
+    """From one block of a whole tooth period to one row per step; what does not depend on the step is repeated."""
+    a = a[0]
+    return jnp.moveaxis(a, -1, 0)[..., None] if a.shape[-1] == n else jnp.broadcast_to(a, (n, *a.shape))

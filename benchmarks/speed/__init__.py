@@ -1,0 +1,1 @@
+"""What `make bench` measures, one subject per file: `figures(run)` yields the lines of its table."""

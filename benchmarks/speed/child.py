@@ -1,0 +1,76 @@
+"""Measurements that need a process of their own: peak memory, start-up and compile times.
+
+`python -m benchmarks.speed.child NAME [NUMBER ...]` prints one JSON object.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def ask(name: str, *numbers: float) -> dict[str, float]:
+    """Run measurement `name` in a fresh process."""
+    command = [sys.executable, "-m", "benchmarks.speed.child", name, *map(str, numbers)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command[1:])} failed:\n{done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def start() -> dict[str, float]:
+    """Seconds until `millax` is imported, for the first simulation, and for the second."""
+    begin = time.perf_counter()
+    import millax as mx
+
+    imported = time.perf_counter()
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from benchmarks.slot import slot
+
+    case = slot(duration=1.0)
+    ready = time.perf_counter()
+    jax.block_until_ready(mx.simulate(case))
+    first = time.perf_counter()
+    jax.block_until_ready(mx.simulate(case))
+    second = time.perf_counter()
+    return {"import": imported - begin, "case": ready - imported, "first": first - ready, "second": second - first}
+
+
+def memory(mode: str, duration: float) -> dict[str, float]:
+    """Peak memory of a process [bytes] that takes one derivative of a simulation of `duration` [s], and the size of the
+    result [bytes]."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import jax.numpy as jnp
+
+    from benchmarks.slot import slot
+    from benchmarks.speed.derivatives import GRADIENT, JACOBIAN, programs
+
+    case = slot(duration=duration)
+    result = jax.block_until_ready(programs(case)[{"reverse": GRADIENT, "forward": JACOBIAN}[mode]](jnp.ones(6)))
+    return {
+        "peak": _peak(),
+        "result": sum(leaf.nbytes for leaf in jax.tree.leaves(result)),
+        "steps": case.settings.steps,
+    }
+
+
+def _peak() -> int:
+    """Largest resident memory of this process so far [bytes]."""
+    status = Path("/proc/self/status")
+    if status.exists():  # what getrusage says on Linux includes the process that started this one
+        return 1024 * next(int(line.split()[1]) for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+if __name__ == "__main__":
+    name, *rest = sys.argv[1:]
+    print(json.dumps(start() if name == "start" else memory(name, *map(float, rest))))

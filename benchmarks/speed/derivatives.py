@@ -1,0 +1,40 @@
+"""What derivatives cost beside the simulation itself."""
+
+import jax
+import jax.numpy as jnp
+
+import millax as mx
+
+from ..figures import below
+from ..slot import scaled, six_parameters, slot
+from ..timing import interleaved
+from .run import Run
+
+SIMULATION, JACOBIAN, GRADIENT = "simulation", "Jacobian, 6 parameters", "gradient, reverse mode"
+
+
+def figures(run: Run):
+    case, one = slot(duration=run.duration), jnp.ones(6)
+    functions = {name: (lambda f=f: f(one)) for name, f in programs(case).items()}
+    times = interleaved(functions, max(3, run.rounds // 2))
+    steps = case.settings.steps
+    for name, limit, tells in ((JACOBIAN, 6, "forward mode, all traces"), (GRADIENT, 4, "of the sum of squared forces")):
+        run.bars[f"millax, {name}"] = 1e9 * times.seconds(name) / steps
+        yield below(f"{name}, {tells}, beside one simulation", times.ratio(name, SIMULATION), limit, form=".2f", unit=" ×")
+
+
+def programs(case):
+    """The simulation and its derivatives as compiled functions of six factors."""
+
+    def traces(factors):
+        sim = simulate(case, factors)
+        return sim.force, sim.displacement
+
+    def cost(factors):
+        return jnp.sum(simulate(case, factors).force ** 2)
+
+    return {SIMULATION: jax.jit(traces), JACOBIAN: jax.jit(jax.jacfwd(traces)), GRADIENT: jax.jit(jax.grad(cost))}
+
+
+def simulate(case, factors):
+    return mx.simulate(scaled(case, six_parameters, list(factors)), throw=False)

@@ -1,0 +1,50 @@
+"""How the cost grows with length, teeth, modes and members of a batch: seconds ~ size^p."""
+
+import dataclasses
+
+import jax
+
+import millax as mx
+
+from ..figures import Figure
+from ..slot import modes, slot
+from ..timing import exponent, interleaved
+from .batch import batch
+from .run import Run
+
+STRAIGHT = 1.1
+"""Largest exponent that counts as a straight line. Small sizes carry a fixed cost, which makes it smaller than 1."""
+
+TEETH = (1, 2, 4, 8, 16)
+MODES = (2, 4, 8, 16)
+MEMBERS = (1, 4, 16, 64)
+
+
+def figures(run: Run):
+    yield _growth(run, "duration [s]", run.lengths, lambda s: _one(slot(duration=s)))
+    yield _growth(run, "teeth", TEETH, lambda n: _one(_with_teeth(n, run.duration)))
+    yield _growth(run, "modes", MODES, lambda n: _one(modes(n, duration=run.duration)))
+    yield _growth(run, "members of a batch", MEMBERS, lambda n: batch(slot(duration=run.duration / 4), n))
+
+
+def _growth(run: Run, name: str, sizes, function) -> Figure:
+    functions = {str(size): function(size) for size in sizes}
+    times = interleaved(functions, max(3, run.rounds // 7))
+    seconds = [times.seconds(size) for size in functions]
+    run.growth[name] = (sizes, seconds)
+    p = exponent(sizes, seconds)
+    jax.clear_caches()
+    what = f"cost against {name}, {sizes[0]:g} to {sizes[-1]:g}: exponent"
+    return Figure(what, f"{p:.2f}", f"≤ {STRAIGHT}", bool(p <= STRAIGHT))
+
+
+def _one(case: mx.Case):
+    return lambda: mx.simulate(case, throw=False)
+
+
+def _with_teeth(teeth: int, duration: float) -> mx.Case:
+    """As many steps and as much feed per tooth, whatever the number of teeth."""
+    case = slot(duration=duration)
+    tool = mx.EndMill(case.tool.diameter, teeth)
+    cut = dataclasses.replace(case.cut, feed_rate=case.cut.feed_rate * teeth / case.tool.teeth)
+    return dataclasses.replace(case, tool=tool, cut=cut)
