@@ -23,7 +23,7 @@ validate: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.validate
 
 bench: $(VENV)/.installed
-	$(BIN)/python -m benchmarks.bench
+	$(BIN)/python -m benchmarks.bench --write docs/speed.md
 
 $(VENV):
 	$(PYTHON) -m venv $@

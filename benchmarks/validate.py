@@ -19,6 +19,7 @@ jax.config.update("jax_enable_x64", True)
 
 SUBJECTS = {
     "papers": "Closed forms and the papers' tables",
+    "oracles": "Other programs, same cut",
     "numerics": "Accuracy of the scheme",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",

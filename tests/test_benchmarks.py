@@ -3,15 +3,21 @@
 import dataclasses
 import importlib
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
 
 import millax as mx
-from benchmarks import compiled
+from benchmarks import bench, compiled
 from benchmarks.figures import Figure, below, near, show
 from benchmarks.scan import step_by_step
 from benchmarks.slot import light, six_coordinates, slot
+from benchmarks.speed import batch, child, single
+from benchmarks.speed.child import ask
+from benchmarks.speed.picture import draw
+from benchmarks.speed.run import Run
+from benchmarks.timing import Times, exponent, interleaved
 from benchmarks.validate import SUBJECTS
 from benchmarks.validation import programs
 
@@ -101,3 +107,83 @@ def test_the_trace_counter_counts():
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_every_subject_can_be_loaded(subject):
     assert callable(importlib.import_module(f"benchmarks.validation.{subject}").figures)
+
+
+@pytest.mark.parametrize("subject", bench.SUBJECTS)
+def test_every_subject_of_the_bench_can_be_loaded(subject):
+    assert callable(importlib.import_module(f"benchmarks.speed.{subject}").figures)
+
+
+def test_ratios_are_taken_round_by_round():
+    # The machine is ten times as slow in the second round: both are, and their ratio stays.
+    times = Times({"a": np.array([2.0, 20.0, 2.0]), "b": np.array([1.0, 10.0, 1.0])})
+    assert times.ratio("a", "b") == 2.0
+    assert times.seconds("a") == 2.0
+
+
+def test_functions_take_turns():
+    order = []
+    times = interleaved({name: lambda name=name: order.append(name) for name in "ab"}, rounds=3)
+    assert "".join(order) == "abababab"  # once before, to compile
+    assert times.rounds["a"].shape == (3,)
+
+
+def test_the_exponent_of_a_power():
+    sizes = np.array([1.0, 10.0, 100.0])
+    assert exponent(sizes, 3e-3 * sizes**0.75) == pytest.approx(0.75)
+
+
+def test_one_simulation_is_measured_beside_everything_else():
+    run = Run(duration=0.02, rounds=2)
+    figures = {figure.what: figure for figure in single.figures(run)}
+    assert {single.ENGINE, single.SIX, single.SCAN, "papers' grid in NumPy"} <= set(run.bars)
+    assert all(value > 0 for value in run.bars.values())
+    assert figures[f"{single.SCAN} beside {single.ENGINE}"].met is None
+    if compiled.have_compiler():
+        assert set(run.lines) == {single.SAME, single.SAMPLED}
+        assert figures[f"{single.ENGINE} beside {single.SAME}"].met in (True, False)
+        assert figures[f"{single.ENGINE} and {single.SAME}, both converged: largest difference of force"].met
+
+
+def test_batches_are_measured_per_core():
+    result = batch.measure(4, 0.01, 1)
+    assert result["cores"] == jax.local_device_count()
+    assert result["wall"] > 0
+    assert ("ratio" in result) == compiled.have_compiler()
+
+
+def test_what_belongs_to_a_process_is_measured_in_one_of_its_own():
+    assert set(ask("start")) == {"import", "case", "first", "second"}
+
+
+def test_peak_memory_is_that_of_this_process():
+    before = child._peak()
+    np.ones(30_000_000)  # 240 MB
+    assert 50e6 < before < child._peak() < 50e9
+
+
+def test_a_measurement_that_fails_says_why():
+    with pytest.raises(RuntimeError, match="no_such_subject"):
+        ask("no_such_subject")
+
+
+def test_the_bench_writes_its_tables_and_its_picture(tmp_path, monkeypatch, capsys):
+    def figures(run):
+        run.bars |= {"millax": 200.0, "lax.scan over steps": 2000.0}
+        run.lines |= {"C, same model": 80.0}
+        run.growth["teeth"] = ((1, 2, 4), (0.1, 0.2, 0.4))
+        yield below("millax beside C", 2.5, 3.0)
+        yield below("gradient", 5.0, 4.0)
+
+    monkeypatch.setattr("benchmarks.speed.startup.figures", figures)
+    monkeypatch.setattr("sys.argv", ["bench", "startup", "--write", str(tmp_path / "speed.md")])
+    assert bench.main() == 1
+    assert "1 of 2 targets met" in capsys.readouterr().out
+    text = (tmp_path / "speed.md").read_text(encoding="utf-8")
+    assert "| gradient | 5 | ≤ 4 | MISSED |" in text
+    assert "(speed.png)" in text
+    assert (tmp_path / "speed.png").stat().st_size > 10_000
+
+
+def test_a_picture_of_nothing_can_be_drawn():
+    draw(Run())  # a bench of a single subject may have nothing to show
