@@ -33,8 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SimulationError as error:
         complain(f"{arguments.case}: {error}")
         return 1
-    except KeyboardInterrupt:
-        complain("interrupted")
+    except KeyboardInterrupt as interrupt:
+        complain(f"interrupted: {interrupt}" if str(interrupt) else "interrupted")
         return 130
 
 
@@ -60,6 +60,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_paths(fit)
     fit.set_defaults(run=_fit)
+
+    sweep = commands.add_parser(
+        "sweep",
+        help="simulate a cut many times with other numbers",
+        description="Simulate the cut of a case file with every combination of other numbers, or with random ones. Writes "
+        "labelled results (netCDF) and a picture beside them. A sweep that was stopped goes on when the same command is "
+        "run again.",
+    )
+    sweep.add_argument("case", metavar="CASE.toml", help="the case file")
+    sweep.add_argument(
+        "--vary",
+        metavar="NAME=VALUES",
+        action="append",
+        required=True,
+        help='"cut.spindle_speed=4000:16000:49 rpm" (from, to, how many), "cut.depth=0.5,1,2 mm" (a list) or one value; '
+        'with --samples "force.k0=4000:6000 N/mm^2" (uniform) or "force.k0=5000 +- 100 N/mm^2" (normal). May be repeated',
+    )
+    sweep.add_argument("--out", metavar="FILE.nc", required=True, help="file for the results")
+    sweep.add_argument("--samples", metavar="N", type=int, help="N random members instead of a grid")
+    sweep.add_argument("--seed", metavar="SEED", type=int, default=0, help="of the random members (default 0)")
+    sweep.add_argument("--reduce", metavar="NAMES", help="what to keep, names between commas (default: everything there is)")
+    sweep.add_argument("--overwrite", action="store_true", help="start anew, whatever the file holds")
+    sweep.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler: compute on its workers")
+    sweep.set_defaults(run=_sweep)
     return parser
 
 
@@ -72,6 +96,21 @@ def _simulate(arguments: argparse.Namespace) -> int:
     from ._simulate_command import run_simulate
 
     return run_simulate(arguments.case, arguments.out, chip_thickness=arguments.chip_thickness)
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    from ._sweep_command import run_sweep
+
+    return run_sweep(
+        arguments.case,
+        arguments.vary,
+        arguments.out,
+        samples=arguments.samples,
+        seed=arguments.seed,
+        reduce=arguments.reduce,
+        overwrite=arguments.overwrite,
+        cluster=arguments.cluster,
+    )
 
 
 def _fit(arguments: argparse.Namespace) -> int:

@@ -4,14 +4,19 @@ from ._case import Case
 from ._casefile import CaseError, CaseFile, load_case
 from ._cut import Cut
 from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
+from ._program import use_all_cores
+from ._reductions import REDUCTIONS, Reduction
 from ._settings import Settings
 from ._simulate import STATUS, Simulation, SimulationError, simulate
 from ._stock import Stock
 from ._structure import Structure
 from ._summary import summarize
+from ._sweep import SweepProgress, sweep
 from ._tool import EndMill
+from ._values import Values, sample
 
 __all__ = [
+    "REDUCTIONS",
     "STATUS",
     "Case",
     "CaseError",
@@ -22,12 +27,18 @@ __all__ = [
     "ForceLaw",
     "FractionalLaw",
     "LinearLaw",
+    "Reduction",
     "Settings",
     "Simulation",
     "SimulationError",
     "Stock",
     "Structure",
+    "SweepProgress",
+    "Values",
     "load_case",
+    "sample",
     "simulate",
     "summarize",
+    "sweep",
+    "use_all_cores",
 ]

@@ -8,8 +8,13 @@ import math
 import re
 from typing import Any
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_NUMBER_AND_UNIT = re.compile(rf"\s*({_NUMBER})\s*((?:[^\W\d]|[%°]|1/).*?)?\s*")
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+"""Pattern of a number in a text."""
+
+UNIT = r"(?:[^\W\d]|[%°]|1/).*?"
+"""Pattern of a unit in a text, to be matched to the end of it."""
+
+_NUMBER_AND_UNIT = re.compile(rf"\s*({NUMBER})\s*({UNIT})?\s*")
 
 EXPONENT = "(1+m)"
 """In a unit: an exponent that depends on another number, as in "N/m^(1+m)" for a force that grows with h^m."""

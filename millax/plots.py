@@ -1,15 +1,20 @@
-"""Pictures of simulated cuts. Needs matplotlib, which nothing else in the package imports."""
+"""Pictures of simulated cuts and of sweeps. Needs matplotlib, which nothing else in the package imports."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from ._case import Case
 from ._simulate import Simulation
 from ._types import AXES
+
+if TYPE_CHECKING:
+    import xarray
 
 COLOURS = {"x": "#0072B2", "y": "#D55E00", "z": "#009E73"}
 """Colours of the axes, told apart by colour-blind readers too (Okabe and Ito)."""
@@ -58,6 +63,155 @@ def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Fi
         grid[1, 1].set_ylabel(f"displacement less its mean [{zoom_prefix}m]")
         grid[1, 0].legend(frameon=False)
     return figure
+
+
+def plot_sweep(dataset: "xarray.Dataset", quantities: str | Sequence[str] | None = None) -> Figure:
+    """The results of `millax.sweep`: curves over one varied number, maps over two, histograms of samples.
+
+    Each quantity has a row; in maps each axis of the workpiece has a column. Members whose status is not 0 are crossed
+    out. Of a third varied number, and those after it, the middle value is drawn.
+
+    **Arguments:**
+
+    - `dataset`: what `millax.sweep` returned.
+    - `quantities`: names of variables with one number, or one per axis, for every member; None: mean force and vibration,
+      or whatever there is.
+
+    Raises `ValueError` for a name that is none of these.
+    """
+    varied = [str(dim) for dim in dataset["status"].dims]
+    can = [
+        str(name)
+        for name, v in dataset.data_vars.items()
+        if set(v.dims) - set(varied) <= {"axis"} and name not in ("status", "residual", "simulated_time")
+    ]
+    chosen = [quantities] if isinstance(quantities, str) else list(quantities or _usual(can))
+    for name in chosen:
+        if name not in can:
+            raise ValueError(f"{name}: it cannot be drawn; choose from {', '.join(can)}")
+    if not chosen:
+        raise ValueError("there is nothing to draw: no variable has one number, or one per axis, for every member")
+    middle = {dim: dataset.sizes[dim] // 2 for dim in varied[2:]}
+    part, varied = dataset.isel(middle), varied[:2]
+    if varied == ["sample"] or not varied:
+        figure = _histograms(part, chosen)
+    else:
+        figure = _curves(part, chosen, varied[0]) if len(varied) == 1 else _maps(part, chosen, varied)
+    if middle:
+        figure.suptitle("at " + ", ".join(_value(part, dim) for dim in middle), fontsize="medium")
+    return figure
+
+
+def _usual(can: Sequence[str]) -> list[str]:
+    return [name for name in ("mean_force", "std_displacement") if name in can] or list(can[:2])
+
+
+def _by_axis(v: "xarray.DataArray") -> "dict[str, xarray.DataArray]":
+    """A quantity along every axis where it is not zero throughout."""
+    if "axis" not in v.dims:
+        return {"": v}
+    parts = {str(axis): v.sel(axis=axis) for axis in v["axis"].to_numpy()}
+    moving = {axis: part for axis, part in parts.items() if np.any(np.nan_to_num(part.to_numpy()))}
+    return moving or {"x": parts["x"]}
+
+
+def _curves(dataset: "xarray.Dataset", names: Sequence[str], dim: str) -> Figure:
+    figure = Figure(figsize=(7, 2.8 * len(names)), layout="constrained")
+    failed = dataset["status"].to_numpy() != 0
+    x = dataset[dim].to_numpy()
+    grid = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name in zip(grid, names, strict=True):
+        tidy(axes)
+        parts = _by_axis(dataset[name])
+        scale, unit = _scaled_unit(dataset[name])
+        for axis, part in parts.items():
+            axes.plot(x, part.to_numpy() / scale, ".-", color=COLOURS.get(axis, "0.2"), label=axis)
+        if failed.any():
+            bottom = np.zeros(failed.sum())
+            axes.plot(
+                x[failed], bottom, "x", color="0.4", transform=axes.get_xaxis_transform(), clip_on=False, label="failed"
+            )
+        axes.set_ylabel(f"{_words(name)}{unit}")
+        if len(parts) > 1 or failed.any():
+            axes.legend(frameon=False)
+    grid[-1].set_xlabel(_label(dataset, dim))
+    return figure
+
+
+def _maps(dataset: "xarray.Dataset", names: Sequence[str], dims: Sequence[str]) -> Figure:
+    rows = {name: _by_axis(dataset[name]) for name in names}
+    columns = max(map(len, rows.values()))
+    figure = Figure(figsize=(4.6 * columns + 0.6, 3.3 * len(names)), layout="constrained")
+    grid = figure.subplots(len(names), columns, sharex=True, sharey=True, squeeze=False)
+    x, y = (dataset[dim].to_numpy() for dim in dims)
+    failed = (dataset["status"].transpose(*dims).to_numpy() != 0).T
+    for row, (name, parts) in zip(grid, rows.items(), strict=True):
+        scale, unit = _scaled_unit(dataset[name])
+        for axes in row[len(parts) :]:
+            axes.set_axis_off()
+        for axes, (axis, part) in zip(row, parts.items(), strict=False):
+            values = part.transpose(*dims).to_numpy().T / scale
+            image = axes.pcolormesh(x, y, np.ma.masked_invalid(values), shading="nearest", norm=_norm(values))
+            axes.set_facecolor("0.85")
+            if failed.any():
+                axes.plot(*_points(x, y, failed), "x", color="0.4", markersize=4, linestyle="none")
+            figure.colorbar(image, ax=axes, label=f"{_words(name)}{f' {axis}' if axis else ''}{unit}")
+    for axes in grid[-1]:
+        axes.set_xlabel(_label(dataset, dims[0]))
+    for axes in grid[:, 0]:
+        axes.set_ylabel(_label(dataset, dims[1]))
+    if failed.any():
+        figure.text(0.01, 0.0, "grey and crossed out: not to be trusted, see the status", fontsize="small", va="bottom")
+    return figure
+
+
+def _histograms(dataset: "xarray.Dataset", names: Sequence[str]) -> Figure:
+    figure = Figure(figsize=(7, 2.8 * len(names)), layout="constrained")
+    for axes, name in zip(figure.subplots(len(names), 1, squeeze=False).flat, names, strict=True):
+        tidy(axes)
+        scale, unit = _scaled_unit(dataset[name])
+        for axis, part in _by_axis(dataset[name]).items():
+            values = part.to_numpy().ravel() / scale
+            values = values[np.isfinite(values)]
+            label = f"{axis}  {values.mean():.4g} ± {values.std():.2g}".strip()
+            axes.hist(values, bins="auto", color=COLOURS.get(axis, "0.4"), alpha=0.6, label=label)
+        axes.set(xlabel=f"{_words(name)}{unit}", ylabel="samples")
+        axes.legend(frameon=False, title="mean ± standard deviation", title_fontsize="small")
+    return figure
+
+
+def _points(x: np.ndarray, y: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = np.nonzero(which)
+    return x[columns], y[rows]
+
+
+def _norm(values: np.ndarray) -> LogNorm | None:
+    """Colours by the logarithm where the numbers have one sign and span more than two decades."""
+    known = values[np.isfinite(values)]
+    return LogNorm(known.min(), known.max()) if known.size and 0 < 100 * known.min() < known.max() else None
+
+
+def _scaled_unit(v: "xarray.DataArray") -> tuple[float, str]:
+    """What to divide by, and the unit in brackets: (1e-6, " [µm]")."""
+    unit, known = v.attrs.get("units", ""), v.to_numpy()[np.isfinite(v.to_numpy())]
+    if unit not in ("m", "s") or known.size == 0:
+        return 1.0, f" [{unit}]" if unit else ""
+    scale, prefix = si_prefix([known])
+    return scale, f" [{prefix}{unit}]"
+
+
+def _words(name: str) -> str:
+    known = {"std_displacement": "vibration (standard deviation)"}
+    return known.get(name, name.replace("_", " "))
+
+
+def _label(dataset: "xarray.Dataset", dim: str) -> str:
+    unit = dataset[dim].attrs.get("units", "")
+    return f"{dim} [{unit}]" if unit else dim
+
+
+def _value(dataset: "xarray.Dataset", name: str) -> str:
+    return f"{name} = {float(dataset[name]):.4g} {dataset[name].attrs.get('units', '')}".strip()
 
 
 def draw_band(

@@ -1,0 +1,184 @@
+"""The compiled program of a sweep: a batch of members at once on every device."""
+
+import contextlib
+import functools
+import os
+import threading
+from collections import defaultdict
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from ._case import Case
+from ._members import SPINDLE_SPEED, member
+from ._plan import Group
+from ._reductions import Reduction
+from ._settings import RESIDUAL_TOLERANCE
+from ._simulate import Simulation, simulate
+
+BATCH = 16
+"""Members that a device computes at once: their working set stays in the cache."""
+
+RERUNS = 2
+"""How often members whose sweeps have not converged are simulated again, each time with twice as many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """Everything a process needs to compute members; it can be sent to another one.
+
+    - `case`: with NumPy leaves.
+    - `names`: the numbers that vary.
+    - `reductions`: by name.
+    - `batch`: members per device and call.
+    - `x64`: whether in double precision.
+    - `key`: tells apart what is computed; programs are kept under it.
+    """
+
+    case: Case
+    names: tuple[str, ...]
+    reductions: dict[str, Reduction]
+    batch: int
+    x64: bool
+    key: str
+
+    def __eq__(self, other):
+        return isinstance(other, Work) and self.key == other.key
+
+    def __hash__(self):
+        return hash(self.key)
+
+
+def compute(
+    work: Work,
+    group: Group,
+    table: Float[np.ndarray, "members names"],
+    periods: Int[np.ndarray, " members"],
+    devices: int = 0,
+) -> dict[str, np.ndarray]:
+    """The variables of some members of one group, each of shape (members, ...): of these values and these tooth periods.
+
+    Members whose sweeps have not converged are simulated again with more. Where the status of a member is not 0, its
+    variables are NaN, all but the status, the residual and the simulated time. `devices`: how many to use; 0 for all.
+    """
+    with precision(work):
+        found = _run(work, group, table, periods, devices)
+        for rerun in range(1, RERUNS + 1):
+            again = np.flatnonzero(~(found["residual"] <= _tolerance(_float(work))))
+            if again.size == 0:
+                break
+            more = _run(work, group._replace(sweeps=group.sweeps * 2**rerun), table[again], periods[again], devices)
+            for name, values in more.items():
+                found[name][again] = values
+    failed = found["status"] != 0
+    for name in found.keys() - {"status", "residual", "simulated_time"}:
+        found[name][failed] = np.nan
+    return found
+
+
+def double_precision() -> bool:
+    """Whether JAX computes in double precision here and now."""
+    return jnp.zeros(()).dtype == jnp.float64
+
+
+def precision(work: Work):
+    """A context in which JAX computes in the precision of `work`, whatever this process or thread does elsewhere."""
+    return contextlib.nullcontext() if double_precision() == work.x64 else jax.enable_x64(work.x64)
+
+
+def _tolerance(dtype) -> float:
+    """Of the residual, as in `millax._simulate`."""
+    return max(RESIDUAL_TOLERANCE, 32 * float(jnp.finfo(dtype).eps))
+
+
+def _run(work: Work, group: Group, table, periods, devices: int) -> dict[str, np.ndarray]:
+    run = program(work, group, devices)
+    size = work.batch * (devices or jax.local_device_count())
+    parts = []
+    for start in range(0, len(table), size):
+        # The last call is filled up with copies of its last member, so that one shape is compiled.
+        which = np.minimum(np.arange(start, start + size), len(table) - 1)
+        found = run(table[which].astype(_float(work)), periods[which].astype(np.int32))
+        parts.append({name: np.array(values)[: len(table) - start] for name, values in found.items()})
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _float(work: Work):
+    return np.float64 if work.x64 else np.float32
+
+
+def program(work: Work, group: Group, devices: int = 0):
+    """The compiled function from the values of `batch` members per device to their variables. Made once, also where
+    several threads ask for it."""
+    with _LOCKS[work, group, devices], precision(work):
+        return _compiled(work, group, devices)
+
+
+_LOCKS: defaultdict[tuple[Work, Group, int], threading.Lock] = defaultdict(threading.Lock)
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled(work: Work, group: Group, devices: int):
+    mesh = Mesh(np.array(jax.local_devices()[: devices or None]), ("members",))
+    split = PartitionSpec("members")
+    case = group.settle(jax.tree.map(jnp.asarray, work.case))
+
+    def one(values, periods):
+        c = member(case, work.names, values)
+        sim = simulate(c, throw=False)
+        if SPINDLE_SPEED in work.names:
+            sim = _ended(sim, c, periods)
+        found = {
+            name + suffix: part.astype(values.dtype)
+            for name, reduction in work.reductions.items()
+            for suffix, part in reduction(sim, c).items()
+        }
+        duration = c.cut.tooth_period(c.tool) * periods
+        return found | {"status": sim.status, "residual": sim.residual, "simulated_time": duration}
+
+    batch = jax.jit(jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=split, out_specs=split, check_vma=False))
+    n = work.batch * mesh.size
+    arguments = jax.ShapeDtypeStruct((n, len(work.names)), _float(work)), jax.ShapeDtypeStruct((n,), np.int32)
+    return batch.lower(*arguments).compile()
+
+
+def _ended(sim: Simulation, case: Case, periods: Int[Array, ""]) -> Simulation:
+    """`sim` up to the end of a tooth period: NaN behind it, and the status without what happens there."""
+    inside = jnp.arange(sim.time.size) < periods * case.settings.steps_per_tooth
+    displacement = jnp.where(inside[:, None], sim.displacement, 0.0)
+    finite = jnp.all(jnp.isfinite(displacement)) & jnp.all(jnp.isfinite(sim.force) | ~inside[:, None])
+    strayed = jnp.any(jnp.abs(displacement) > case.tool.radius)
+    unsettled = ~(sim.residual <= _tolerance(sim.force.dtype))
+    status = jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(unsettled, 1, 0)))
+
+    def until_the_end(trace):
+        return jnp.where(inside.reshape(-1, *[1] * (trace.ndim - 1)), trace, jnp.nan)
+
+    return Simulation(
+        time=until_the_end(sim.time),
+        force=until_the_end(sim.force),
+        displacement=until_the_end(sim.displacement),
+        chip_thickness=until_the_end(sim.chip_thickness),
+        residual=sim.residual,
+        status=status.astype(sim.status.dtype),
+        axes=sim.axes,
+    )
+
+
+def use_all_cores(devices: int | None = None) -> None:
+    """Make JAX treat every core of the processor as a device of its own, for sweeps.
+
+    **Arguments:**
+
+    - `devices`: how many; None: as many as there are cores, unless XLA_FLAGS says how many.
+
+    Call it before JAX computes anything. Raises `RuntimeError` where that is too late.
+    """
+    if devices is None and "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    jax.config.update("jax_num_cpu_devices", cores if devices is None else devices)

@@ -1,0 +1,183 @@
+"""What a sweep keeps of every simulation."""
+
+import hashlib
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ._case import Case
+from ._simulate import Simulation, simulate
+from ._summary import DEFINITIONS
+from ._types import AXES
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """From a simulation to what is kept of it, with what is needed to label the result.
+
+    - `function`: of a `Simulation`, or of a `Simulation` and its `Case` where it takes two arguments; in JAX, since it is
+      compiled with the simulation. It returns an array, or a pytree of arrays: each becomes a variable of the result.
+    - `unit`, `definition`: for the attributes of the result.
+    - `dims`: names of the dimensions of the array. "axis" stands for x, y, z. None: named after the variable.
+    """
+
+    function: Callable[..., Any]
+    unit: str = ""
+    definition: str = ""
+    dims: tuple[str, ...] | None = None
+
+    def __call__(self, sim: Simulation, case: Case) -> dict[str, Array]:
+        """Arrays by the suffix that their pytree gives them; "" for a single one."""
+        two = len([p for p in inspect.signature(self.function).parameters.values() if _required(p)]) > 1
+        result = self.function(sim, case) if two else self.function(sim)
+        leaves, _ = jax.tree_util.tree_flatten_with_path(result)
+        return {_suffix(path): jnp.asarray(leaf) for path, leaf in leaves}
+
+
+def _required(parameter: inspect.Parameter) -> bool:
+    return parameter.default is parameter.empty and parameter.kind in (
+        parameter.POSITIONAL_ONLY,
+        parameter.POSITIONAL_OR_KEYWORD,
+    )
+
+
+def _suffix(path: tuple) -> str:
+    return "".join(f".{key}" for key in (re.sub(r"\W+", "", str(part)) for part in path))
+
+
+def window(sim: Simulation, case: Case) -> Bool[Array, " steps"]:
+    """Which samples are in the whole revolutions in the last half of the trace; in those of all of it where there is none.
+
+    A trace ends where its time becomes NaN.
+    """
+    revolution = case.settings.steps_per_tooth * case.tool.teeth
+    end = jnp.sum(jnp.isfinite(sim.time))
+    half = end // 2 // revolution
+    revolutions = jnp.where(half > 0, half, end // revolution)
+    sample = jnp.arange(sim.time.size)
+    return (sample >= end - revolutions * revolution) & (sample < end)
+
+
+def _mean(trace: Float[Array, "steps 3"], inside: Bool[Array, " steps"]) -> Float[Array, "3"]:
+    """NaN where nothing is inside."""
+    return jnp.sum(jnp.where(inside[:, None], trace, 0.0), axis=0) / jnp.sum(inside)
+
+
+def _std(trace: Float[Array, "steps 3"], inside: Bool[Array, " steps"]) -> Float[Array, "3"]:
+    return jnp.sqrt(_mean((trace - _mean(trace, inside)) ** 2, inside))
+
+
+def _peak(trace: Float[Array, "steps 3"], inside: Bool[Array, " steps"]) -> Float[Array, "3"]:
+    peak = jnp.max(jnp.where(inside[:, None], jnp.abs(trace), 0.0), axis=0)
+    return jnp.where(jnp.any(inside), peak, jnp.nan)
+
+
+def _displacement(sim: Simulation) -> Float[Array, "steps 3"]:
+    """Along x, y and z; zero where the tool does not move."""
+    columns = [sim.displacement[:, sim.axes.index(a)] if a in sim.axes else jnp.zeros(sim.time.size) for a in AXES]
+    return jnp.stack(columns, axis=1)
+
+
+_WINDOW = "the whole revolutions in the last half of the trace"
+
+REDUCTIONS: Mapping[str, Reduction] = {
+    "mean_force": Reduction(lambda s, c: _mean(s.force, window(s, c)), *DEFINITIONS["mean_force"], ("axis",)),
+    "peak_force": Reduction(lambda s, c: _peak(s.force, window(s, c)), *DEFINITIONS["peak_force"], ("axis",)),
+    "mean_displacement": Reduction(
+        lambda s, c: _mean(_displacement(s), window(s, c)), "m", f"mean over {_WINDOW}", ("axis",)
+    ),
+    "std_displacement": Reduction(
+        lambda s, c: _std(_displacement(s), window(s, c)),
+        "m",
+        f"standard deviation over {_WINDOW}: the vibration without the static displacement",
+        ("axis",),
+    ),
+    "peak_displacement": Reduction(
+        lambda s: _peak(_displacement(s), jnp.isfinite(s.time)),
+        "m",
+        "largest displacement, without sign, over the whole trace, the entry into the workpiece included",
+        ("axis",),
+    ),
+}
+"""What a sweep keeps unless it is told otherwise, with unit and definition."""
+
+Reduce = Sequence[str] | Mapping[str, Reduction | Callable[..., Any]] | None
+"""Names out of `REDUCTIONS`, or functions by the name of the variable; None: all of `REDUCTIONS`."""
+
+OWN = ("status", "residual", "simulated_time")
+"""Variables that every sweep has."""
+
+
+def chosen(reduce: Reduce) -> dict[str, Reduction]:
+    """The reductions that `reduce` stands for. Raises `ValueError`."""
+    if reduce is None:
+        return dict(REDUCTIONS)
+    words = f"it takes names out of {', '.join(REDUCTIONS)}, or a dictionary of functions of a Simulation"
+    if isinstance(reduce, str) or not isinstance(reduce, Sequence | Mapping):
+        raise ValueError(f"reduce: {reduce!r} given; {words}")
+    if not isinstance(reduce, Mapping):
+        for name in reduce:
+            if name not in REDUCTIONS:
+                raise ValueError(f"reduce: {name!r} given; {words}")
+        return {name: REDUCTIONS[name] for name in reduce}
+    found = {}
+    for name, function in reduce.items():
+        if not isinstance(name, str) or not name or "/" in name or name in OWN:
+            raise ValueError(
+                f"reduce: {name!r} given as a name; it must be a text without / and not one of {', '.join(OWN)}"
+            )
+        if not callable(function):
+            raise ValueError(f"reduce: {function!r} given for {name}; {words}")
+        found[name] = function if isinstance(function, Reduction) else Reduction(function)
+    return found
+
+
+def abstract(case: Case) -> Simulation:
+    """The simulation of `case` as shapes and types: nothing is computed."""
+    return eqx.filter_eval_shape(lambda case: simulate(case, throw=False), case)
+
+
+def shapes(sim: Simulation, case: Case, reductions: Mapping[str, Reduction]) -> dict[str, tuple[int, ...]]:
+    """Shape of every variable made of an abstract simulation. Raises `ValueError` naming a reduction that fails."""
+    found = {}
+    for name, reduction in reductions.items():
+        try:
+            parts = eqx.filter_eval_shape(reduction, sim, case)
+        except Exception as error:
+            raise ValueError(
+                f"reduce: {name} cannot be computed from a Simulation by JAX: {type(error).__name__}: {error}"
+            ) from error
+        if not parts:
+            raise ValueError(f"reduce: {name} returns nothing; it must return an array")
+        for suffix, part in parts.items():
+            if jnp.issubdtype(part.dtype, jnp.complexfloating):
+                raise ValueError(f"reduce: {name} is complex; give its real and imaginary part, or its modulus and phase")
+            if reduction.dims is not None and len(reduction.dims) != len(part.shape):
+                raise ValueError(f"reduce: {name} has shape {part.shape}, but the dimensions {reduction.dims}")
+            found[name + suffix] = part.shape
+    return found
+
+
+def fingerprints(sim: Simulation, case: Case, reductions: Mapping[str, Reduction]) -> dict[str, str]:
+    """What each reduction computes of an abstract simulation, as a short hash of its program: another function under the
+    same name has another one."""
+    found = {}
+    for name, reduction in reductions.items():
+        arrays, static = eqx.partition((sim, case), lambda x: isinstance(x, jax.ShapeDtypeStruct) or eqx.is_array(x))
+        program = jax.make_jaxpr(lambda arrays, r=reduction, s=static: r(*eqx.combine(arrays, s)))(arrays)
+        # Addresses of functions differ from run to run.
+        text = re.sub(r"0x[0-9a-f]+", "", str(program.jaxpr))
+        digest = hashlib.sha256(text.encode())
+        for constant in program.consts:
+            digest.update(jnp.asarray(constant).tobytes())
+        labels = f"{reduction.unit}|{reduction.definition}|{reduction.dims}"
+        digest.update(labels.encode())
+        found[name] = digest.hexdigest()[:12]
+    return found
