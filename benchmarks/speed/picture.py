@@ -35,7 +35,7 @@ def _bars(axes, run: Run) -> None:
         axes.axvline(
             value, color=YARDSTICKS.get(name, "0.3"), linewidth=1.2, linestyle="--", label=f"{name}: {_short(value)}"
         )
-    axes.set(xscale="log", xlabel="time per step and simulation", title="lower is better")
+    axes.set(xscale="log", xlabel="time", title="time per step and simulation")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _short(value)))
     axes.set_xlim(10, 3 * max([*values, 100]))
     if run.lines:
@@ -51,7 +51,8 @@ def _growth(axes, run: Run) -> None:
         axes.loglog(sizes, through * sizes**p, color=colour, linewidth=1.2, label=f"{name}: exponent {p:.2f}")
     axes.set(xlabel="size", ylabel="seconds", title="growth of the cost, lines fitted")
     if run.growth:
-        axes.legend(frameon=False, fontsize="small", loc="upper left")
+        axes.legend(frameon=False, fontsize="small", loc="lower right")
+        axes.set_ylim(bottom=axes.get_ylim()[0] / 6)  # room for the legend
 
 
 def _short(nanoseconds: float) -> str:
