@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 EVERY = 2.0
 """Seconds between two lines of progress where nobody looks at a terminal."""
 
+PATIENCE = "10s"
+"""How long to wait for a scheduler to answer."""
+
 
 def run_sweep(
     case_path: str | os.PathLike,
@@ -102,7 +105,7 @@ def _client(address: str | None) -> Iterator[Any]:
     except ImportError:
         raise ValueError('--cluster needs Dask: pip install "millax[cluster]"') from None
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout=PATIENCE)
     except (OSError, ValueError) as error:
         raise ValueError(f"--cluster {address}: no scheduler answers there ({error})") from None
     with client:
@@ -148,16 +151,11 @@ def _show(result: "xarray.Dataset", path: Path, seconds: float) -> int:
     if not (status == 0).any():
         complain(f"{path}: not one member could be simulated; the file holds the status of each")
         return 1
-    picture = path.with_suffix(".png")
-    drawn = _draw(result, picture)
-    console.print(f"{path}, {picture}" if drawn else f"{path}", markup=False)
-    return 0
-
-
-def _draw(result: "xarray.Dataset", picture: Path) -> bool:
     from millax.plots import plot_sweep
 
+    picture = path.with_suffix(".png")
     figure = plot_sweep(result)
     with whole(picture) as temporary:
         figure.savefig(temporary, dpi=150, format="png")
-    return True
+    console.print(f"{path}, {picture}", markup=False)
+    return 0

@@ -1,7 +1,7 @@
 """A sweep on the workers of a Dask cluster. Scheduling, and what happens when a worker is lost, is Dask's."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,7 @@ def on_cluster(
     chunks: Sequence[tuple[Group, np.ndarray]],
     table: np.ndarray,
     periods: np.ndarray,
-) -> Iterator[Chunk]:
+) -> Generator[Chunk]:
     """Compute chunks of members on the workers of `client`, and yield each as it finishes.
 
     A chunk that was on a worker which is lost is computed on another one. Raises `RuntimeError` where no worker can
@@ -43,6 +43,8 @@ def on_cluster(
                 raise RuntimeError(
                     f"several workers of the cluster were lost on the same chunk, out of memory? {error}"
                 ) from error
+            except Exception as error:  # whatever was raised over there
+                raise RuntimeError(f"the cluster cannot compute a chunk: {type(error).__name__}: {error}") from error
             yield {"member": futures.pop(future), **found}
     finally:
         client.cancel(list(futures))

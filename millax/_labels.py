@@ -13,7 +13,7 @@ from ._manifest import Manifest
 from ._members import Members
 from ._reductions import Reduction
 from ._simulate import STATUS
-from ._sweepfile import ATTRIBUTE, Chunk, whole
+from ._sweepfile import ATTRIBUTE, Chunk, save, whole
 from ._types import AXES
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def write(
     small = {name: v for name, v in variables.items() if name not in large}
     dataset = assemble(chunks, members, small, manifest)
     with whole(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf")
+        save(dataset, temporary)
         if large:
             with h5netcdf.File(temporary, "a") as file:
                 for name, variable in large.items():

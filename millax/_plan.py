@@ -28,6 +28,9 @@ COMPILING = 3.0
 
 MOST_SWEEPS = 30
 
+PIECE = 256
+"""Members planned at once."""
+
 
 class Group(NamedTuple):
     """What is static in a program."""
@@ -59,7 +62,7 @@ def plan(case: Case, members: Members) -> Plan:
 
     Raises `ValueError` where the time steps cannot resolve the fastest mode of a member, or a trace would be too long.
     """
-    tooth_period, rates, kernel, gain = map(np.asarray, _features(case, members.names, jnp.asarray(members.table)))
+    tooth_period, rates, kernel, gain = _features(case, members)
     steps = case.settings.steps_per_tooth
     fastest = np.abs(np.linalg.eigvals(rates)).max(axis=-1, initial=0.0)
     hardest = int(np.argmax(fastest * tooth_period))
@@ -86,8 +89,15 @@ def plan(case: Case, members: Members) -> Plan:
     return Plan(periods, _grouped(periods, blocks, needed))
 
 
+def _features(case: Case, members: Members) -> list[np.ndarray]:
+    """`_features_of` all members, in pieces of one size: then there is one program."""
+    which = np.minimum(np.arange(math.ceil(len(members) / PIECE) * PIECE), len(members) - 1)
+    pieces = [_features_of(case, members.names, jnp.asarray(members.table[part])) for part in which.reshape(-1, PIECE)]
+    return [np.concatenate(column)[: len(members)] for column in zip(*pieces, strict=True)]
+
+
 @eqx.filter_jit
-def _features(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n names"]):
+def _features_of(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n names"]):
     """Of every member: tooth period [s], rates of the structure as a matrix [1/s], and the gain of the iteration force ->
     displacement -> force as a kernel over the lag in steps [m/N] and the stiffness of the cut [N/m]."""
 
@@ -99,14 +109,14 @@ def _features(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n nam
         in_contact = (c.tool.teeth + 1) // 2
         gain = in_contact * c.cut.depth * c.force.tangential(thickness) / thickness * jnp.sqrt(1 + c.force.kr**2)
         if n == 0:
-            return tau, jnp.zeros((0, 0)), jnp.zeros(steps), gain
+            return tau, jnp.zeros((1, 1)), jnp.zeros(steps), gain
         terms = jnp.concatenate([structure.stiffness_matrix, structure.damping_matrix], axis=1)
         rates = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.linalg.solve(structure.mass_matrix, terms)]])
         # The response depends on the lag between two steps alone: its first column holds all of it.
         kernel = jnp.linalg.norm(block_response(structure, tau / steps, steps).position.forced[..., 0], axis=(0, 1))
         return tau, rates, kernel, gain
 
-    return lax.map(features, table, batch_size=64)
+    return lax.map(features, table, batch_size=32)
 
 
 def _sweeps_needed(

@@ -1,10 +1,11 @@
 """Sweeps: the same cut with other numbers, many times over."""
 
+import contextlib
 import errno
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from ._labels import Variable, assemble, bytes_of, variables_of, write
 from ._manifest import digest, manifest_of
 from ._members import Members, members_of
 from ._plan import Group, Plan, plan
-from ._program import BATCH, Work, compute, double_precision, program
+from ._program import BATCH, Work, compute, cores, double_precision, program
 from ._reductions import Reduce, abstract, chosen, fingerprints, shapes
 from ._sweepfile import Chunk, SweepFile, in_words, require_space
 from ._values import Given
@@ -147,7 +148,8 @@ class _Run:
         self.manifest = manifest_of(case, self.members, fingerprints(abstract(case), case, reductions), x64=x64)
         traces = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(sim))
         batch = _batch(2 * traces + self.size / len(self.members), 1 if cluster else jax.local_device_count())
-        key = f"{digest(self.manifest)}-{batch}"
+        constant = {name: value for name, value in self.manifest.items() if not name.startswith("vary.")}
+        key = digest(constant | {"names": self.members.names, "batch": batch})
         self.work = Work(jax.tree.map(np.asarray, case), self.members.names, reductions, batch, x64, key)
 
     def chunks(self, todo: np.ndarray, slots: int, together: int) -> list[tuple[Group, np.ndarray]]:
@@ -252,14 +254,15 @@ def _compute(run: _Run, todo: np.ndarray, keep: Callable[[Chunk], None], counter
         results = on_cluster(
             client, run.work, run.chunks(todo, slots=threads(client), together=1), run.members.table, run.plan.periods
         )
-    for chunk in results:
-        keep(chunk)
-        counter.add(chunk)
+    with contextlib.closing(results):  # whatever ends the loop, what is under way is called off
+        for chunk in results:
+            keep(chunk)
+            counter.add(chunk)
 
 
-def _here(run: _Run, chunks: list[tuple[Group, np.ndarray]]) -> Iterator[Chunk]:
+def _here(run: _Run, chunks: list[tuple[Group, np.ndarray]]) -> Generator[Chunk]:
     """Compute chunks in this process, while the programs of later ones are compiled."""
-    pool = ThreadPoolExecutor(min(4, os.cpu_count() or 1), thread_name_prefix="compile")
+    pool = ThreadPoolExecutor(min(4, cores()), thread_name_prefix="compile")
     programs = {group: pool.submit(program, run.work, group) for group in dict.fromkeys(group for group, _ in chunks)}
     try:
         for group, which in chunks:

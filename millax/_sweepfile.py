@@ -12,14 +12,19 @@ import io
 import json
 import os
 import shutil
+import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Int
 
 from ._manifest import Manifest, differences
+
+if TYPE_CHECKING:
+    import xarray
 
 Chunk = Mapping[str, np.ndarray]
 """Variables by name, each of shape (members, ...); "member" is which they are."""
@@ -137,6 +142,18 @@ def whole(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def save(dataset: "xarray.Dataset", target: Path | io.BytesIO) -> None:
+    """Write a dataset as netCDF. While a Dask client is open, xarray would ask the cluster for a lock on the file."""
+    if "dask" in sys.modules:
+        import dask.config as dask_config
+
+        local = dask_config.set(scheduler="synchronous")
+    else:
+        local = contextlib.nullcontext()
+    with local:
+        dataset.to_netcdf(target, engine="h5netcdf")
+
+
 def require_space(folder: Path, size: int) -> None:
     """Raise `OSError` where the disk of `folder` has less than `size` bytes free."""
     home = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
@@ -165,7 +182,7 @@ def _netcdf(variables) -> bytes:
     import xarray
 
     buffer = io.BytesIO()
-    xarray.Dataset(variables).to_netcdf(buffer, engine="h5netcdf")
+    save(xarray.Dataset(variables), buffer)
     return buffer.getvalue()
 
 
