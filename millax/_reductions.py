@@ -87,7 +87,7 @@ def _displacement(sim: Simulation) -> Float[Array, "steps 3"]:
 
 _WINDOW = "the whole revolutions in the last half of the trace"
 
-REDUCTIONS: Mapping[str, Reduction] = {
+REDUCTIONS: dict[str, Reduction] = {
     "mean_force": Reduction(lambda s, c: _mean(s.force, window(s, c)), *DEFINITIONS["mean_force"], ("axis",)),
     "peak_force": Reduction(lambda s, c: _peak(s.force, window(s, c)), *DEFINITIONS["peak_force"], ("axis",)),
     "mean_displacement": Reduction(

@@ -161,7 +161,7 @@ def _maps(dataset: "xarray.Dataset", names: Sequence[str], dims: Sequence[str]) 
     for axes in grid[:, 0]:
         axes.set_ylabel(_label(dataset, dims[1]))
     if failed.any():
-        figure.text(0.01, 0.0, "grey and crossed out: not to be trusted, see the status", fontsize="small", va="bottom")
+        figure.supxlabel("grey and crossed out: could not be simulated, see the status", fontsize="small")
     return figure
 
 
