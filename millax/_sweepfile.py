@@ -61,6 +61,8 @@ class SweepFile:
                 f"{self.path}: the file exists and is not the result of a sweep; give another name, or overwrite=True"
             ) from None
         self._require_same(old, f"{self.path}: the file holds the results of another sweep")
+        if self.parts.is_dir():  # stopped just before they were removed
+            shutil.rmtree(self.parts)
         return True
 
     def remove(self) -> None:
