@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from millax import Case, simulate
+from millax._gain import MOST_SWEEPS
 from millax._simulate import STATUS as SIMULATION_STATUS
 
 from ._compare import Comparison, compare
@@ -31,9 +32,6 @@ STALLED = 0.1
 
 SWEEPS_MISSING = 1
 """The status of a simulation whose fixed-point sweeps have not converged."""
-
-MOST_SWEEPS = 30
-"""A fit raises the sweeps of its case up to this number where the parameters on its way need more."""
 
 NOISE_ROUNDS = 10
 """Most rounds of estimating the noise; two or three are usual."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._chip import Angles
-from ._forces import ForceLaw
+from ._forces import ForceLaw, work
 from ._math import half_change, minimum, positive_part
 from ._stock import Stock
 from ._types import Scalar
@@ -26,7 +26,8 @@ from ._types import Scalar
 class Borders(NamedTuple):
     """The borders as each tooth meets them in each step of a block, without the tool's displacement."""
 
-    normals: Float[Array, "borders 2"]
+    normals: Float[Array, "2 borders 1 1"]
+    """N, the same in all steps."""
     before: Float[Array, "borders teeth m"]
     """d at the start of the step [m], positive inside."""
     after: Float[Array, "borders teeth m"]
@@ -40,7 +41,7 @@ class Borders(NamedTuple):
 
     def moved(self, x: Scalar) -> "Borders":
         """The borders as they are met after a feed of x [m]."""
-        nearer = (self.normals[:, 0] * x)[:, None, None]
+        nearer = self.normals[0] * x
         return self._replace(before=self.before - nearer, after=self.after - nearer)
 
 
@@ -60,7 +61,7 @@ def borders_met(stock: Stock, radius: Scalar, centres, phi: np.ndarray, step_ang
         return stock.offsets[:, None, None] - nx * x - ny * y - radius * towards
 
     return Borders(
-        normals=jnp.broadcast_to(stock.normals, (len(phi), *stock.normals.shape)),
+        normals=jnp.broadcast_to(stock.normals.T[:, :, None, None], (len(phi), 2, len(stock.normals), 1, 1)),
         before=inside(centres[0], phi - step_angle / 2),
         after=inside(centres[1], phi + step_angle / 2),
         steepness=steepness,
@@ -80,6 +81,13 @@ class Contact(NamedTuple):
     """Angle by which the middle of the part in contact lies past the middle of the step [rad]."""
 
 
+def inside(law: ForceLaw, gap, rate, step_angle: float, width: Scalar) -> Contact:
+    """Mean force and thickness in each step of teeth that meet no border; arguments as in `crossing`."""
+    half = half_change(rate, step_angle, width)
+    h = positive_part(gap, half)
+    return Contact(_mean_force(law, gap, half), h, jnp.zeros_like(h))
+
+
 def crossing(
     law: ForceLaw,
     borders: Borders,
@@ -96,9 +104,7 @@ def crossing(
     """
     half = half_change(rate, step_angle, width)
     h = positive_part(gap, half)
-    if borders.normals.shape[0] == 0:
-        return Contact(_mean_force(law, gap, half), h, jnp.zeros_like(h))
-    shift = (borders.normals @ displacement)[:, None]
+    shift = borders.normals[0] * displacement[0] + borders.normals[1] * displacement[1]
     start = (borders.before - shift) * borders.steepness + borders.exits * h
     end = (borders.after - shift) * borders.steepness + borders.exits * h
     raised = borders.bulge * _raise(start, end, borders.bulge)
@@ -117,7 +123,7 @@ def crossing(
     turn = centre * (end - start) / length**2 * step_angle
     # The rest of the step, at full thickness, is shorter than the step and lies past its middle by `turn`.
     plateau = _mean_force(law, gap + rate * turn, half_change(rate * full / length, step_angle, width))
-    force = (law.work(ramp_low, ramp_high) + plateau * full) / length
+    force = (work(law, ramp_low, ramp_high) + plateau * full) / length
     return Contact(force, area / length, turn)
 
 
@@ -135,7 +141,7 @@ def _raise(start, end, bulge):
 
 def _mean_force(law: ForceLaw, gap, half):
     """Mean of F_t over a thickness from gap - half to gap + half, 0 out of contact."""
-    return law.work(jnp.maximum(gap - half, 0.0), jnp.maximum(gap + half, 0.0)) / (2 * half)
+    return work(law, jnp.maximum(gap - half, 0.0), jnp.maximum(gap + half, 0.0)) / (2 * half)
 
 
 def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, "teeth m"]:

@@ -8,7 +8,11 @@ model uses one formula to smooth in space and to average over a time step.
 At ``w = 0`` the gates are the hard functions; the derivative at the kink is then the mean of those on its two sides.
 """
 
+import math
+
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 _TINY = 1e-30
@@ -34,3 +38,37 @@ def preferred(a: Float[Array, "..."], b: Float[Array, "..."], width: Float[Array
     """1 where a > b and b is to be taken as the smaller, 0 where a < b; smooth where they differ by less than w/4."""
     t = jnp.clip(2 * (a - b) / (width + 1e-15) + 0.5, 0.0, 1.0)
     return t * t * (3 - 2 * t)
+
+
+_LAYOUT = {jnp.dtype("float64"): (jnp.int64, 52), jnp.dtype("float32"): (jnp.int32, 23)}
+"""Integers of the same size, and how many of their bits hold the mantissa."""
+
+
+@jax.custom_jvp
+def log1p(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln(1 + x) for x > -1, to a few units in the last place.
+
+    y = 1 + x = 2^e m with m in [sqrt(1/2), sqrt(2)), and ln m = 2 artanh((m - 1)/(m + 1)) as a series; what the sum 1 + x
+    loses by rounding is put back. Plain arithmetic, of which a compiler makes vector instructions: XLA's own logarithm on a
+    processor is several times slower, and would be most of a simulation.
+    """
+    x = jnp.asarray(x)
+    y = 1 + x
+    integer, digits = _LAYOUT[jnp.dtype(y.dtype)]
+    bits = lax.bitcast_convert_type(y, integer)
+    root = lax.bitcast_convert_type(jnp.asarray(math.sqrt(0.5), y.dtype), integer)
+    exponent = (bits - root) >> digits
+    m = lax.bitcast_convert_type(bits - (exponent << digits), y.dtype)
+    s = (m - 1) / (m + 1)
+    square = s * s  # at most 0.0295: the first term left out is 1e-17 of the sum
+    series = jnp.zeros_like(s)
+    for k in range(21, 1, -2):
+        series = square * (series + 1 / k)
+    lost = (x - (y - 1)) / y
+    return exponent.astype(y.dtype) * math.log(2) + (2 * s * (1 + series) + lost)
+
+
+@log1p.defjvp
+def _log1p_jvp(primals, tangents):
+    (x,), (dx,) = primals, tangents
+    return log1p(x), dx / (1 + x)

@@ -16,17 +16,15 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from ._case import Case
+from ._gain import cost, gain_kernel, sweeps_needed
 from ._members import SPINDLE_SPEED, Members, member
-from ._response import block_response
-from ._settings import MOST_STEPS, RESIDUAL_TOLERANCE, _require_resolved
+from ._settings import MOST_STEPS, block_options, require_resolved
 
 LADDER = 1.1
 """Largest ratio of the lengths of simulation that are in one group from the start."""
 
 COMPILING = 3.0
 """Seconds that one more program costs; against it stands what its members save."""
-
-MOST_SWEEPS = 30
 
 PIECE = 256
 """Members planned at once."""
@@ -62,13 +60,13 @@ def plan(case: Case, members: Members) -> Plan:
 
     Raises `ValueError` where the time steps cannot resolve the fastest mode of a member, or a trace would be too long.
     """
-    tooth_period, rates, kernel, gain = _features(case, members)
+    tooth_period, rates, kernel = _features(case, members)
     steps = case.settings.steps_per_tooth
     fastest = np.abs(np.linalg.eigvals(rates)).max(axis=-1, initial=0.0)
     hardest = int(np.argmax(fastest * tooth_period))
     structure = member(case, members.names, jnp.asarray(members.table[hardest])).structure
     try:
-        _require_resolved(structure, float(tooth_period[hardest]), steps)
+        require_resolved(structure, float(tooth_period[hardest]), steps)
     except ValueError as error:
         raise ValueError(f"the member with {members.words(hardest)}: {error}") from None
     duration = case.settings.periods * float(case.cut.tooth_period(case.tool))
@@ -81,11 +79,11 @@ def plan(case: Case, members: Members) -> Plan:
             f"the member with {members.words(longest)}: its {periods[longest] * steps:.2g} time steps are more than the "
             f"{MOST_STEPS:.0e} that one trace can hold. Simulate a shorter cut"
         )
-    blocks = np.array([p for p in range(1, steps + 1) if steps % p == 0 and p <= 16])
+    blocks = np.array(block_options(steps))
     if case.structure.coordinates == 0:
         blocks, needed = np.ones(1, int), np.ones((len(members), 1), int)
     else:
-        needed = _sweeps_needed(kernel * gain[:, None], steps // blocks)
+        needed = sweeps_needed(kernel, blocks)
     return Plan(periods, _grouped(periods, blocks, needed))
 
 
@@ -98,50 +96,19 @@ def _features(case: Case, members: Members) -> list[np.ndarray]:
 
 @eqx.filter_jit
 def _features_of(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n names"]):
-    """Of every member: tooth period [s], rates of the structure as a matrix [1/s], and the gain of the iteration force ->
-    displacement -> force as a kernel over the lag in steps [m/N] and the stiffness of the cut [N/m]."""
+    """Of every member: tooth period [s], rates of the structure as a matrix [1/s], and its `gain_kernel`."""
 
     def features(values):
         c = member(case, names, values)
-        tau, structure, steps = c.cut.tooth_period(c.tool), c.structure, c.settings.steps_per_tooth
+        structure, steps = c.structure, c.settings.steps_per_tooth
         n = structure.coordinates
-        thickness = jnp.maximum(c.cut.feed_per_tooth(c.tool), c.settings.width)
-        in_contact = (c.tool.teeth + 1) // 2
-        gain = in_contact * c.cut.depth * c.force.tangential(thickness) / thickness * jnp.sqrt(1 + c.force.kr**2)
-        if n == 0:
-            return tau, jnp.zeros((1, 1)), jnp.zeros(steps), gain
-        terms = jnp.concatenate([structure.stiffness_matrix, structure.damping_matrix], axis=1)
-        rates = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.linalg.solve(structure.mass_matrix, terms)]])
-        # The response depends on the lag between two steps alone: its first column holds all of it.
-        kernel = jnp.linalg.norm(block_response(structure, tau / steps, steps).position.forced[..., 0], axis=(0, 1))
-        return tau, rates, kernel, gain
+        rates = jnp.zeros((1, 1))
+        if n:
+            terms = jnp.concatenate([structure.stiffness_matrix, structure.damping_matrix], axis=1)
+            rates = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.linalg.solve(structure.mass_matrix, terms)]])
+        return c.cut.tooth_period(c.tool), rates, gain_kernel(c.tool, c.force, structure, c.cut, c.settings.width, steps)
 
     return lax.map(features, table, batch_size=32)
-
-
-def _sweeps_needed(
-    kernel: Float[np.ndarray, "n steps"], lengths: Int[np.ndarray, " options"]
-) -> Int[np.ndarray, "n options"]:
-    """Sweeps that blocks of these lengths need until the change falls below the tolerance (see `millax._settings`).
-
-    The gain is a lower triangular Toeplitz matrix: its powers are powers of a polynomial, and the largest row sum over a
-    block is the sum of the first coefficients.
-    """
-    n, steps = kernel.shape
-    spectrum = np.fft.rfft(kernel, 2 * steps, axis=1)
-    needed = np.ones((n, len(lengths)), dtype=int)
-    power = np.zeros_like(kernel)
-    power[:, 0] = 1.0
-    for _ in range(MOST_SWEEPS - 1):
-        sums = np.cumsum(power, axis=1)[:, lengths - 1]
-        needed += sums > RESIDUAL_TOLERANCE
-        power = np.maximum(np.fft.irfft(spectrum * np.fft.rfft(power, 2 * steps, axis=1), axis=1)[:, :steps], 0.0)
-    return needed
-
-
-def _cost(blocks, sweeps):
-    """Seconds per tooth period and member, measured."""
-    return 1e-6 * (blocks * (5 + 1.2 * sweeps) + 1.5 * sweeps)
 
 
 class _Part(NamedTuple):
@@ -157,7 +124,7 @@ def _grouped(
 ) -> dict[Group, Int[np.ndarray, " n"]]:
     """As many programs as pay for their compilation. Every member gets at least the periods and the sweeps it needs."""
     rung = np.ceil(np.log(periods) / math.log(LADDER)).astype(int)
-    kinds, kind = np.unique(np.stack([rung, np.argmin(_cost(blocks, needed), axis=1)], axis=1), axis=0, return_inverse=True)
+    kinds, kind = np.unique(np.stack([rung, np.argmin(cost(blocks, needed), axis=1)], axis=1), axis=0, return_inverse=True)
     parts = dict(enumerate(_part(np.flatnonzero(kind.ravel() == k), periods, needed) for k in range(len(kinds))))
     savings = {(i, j): _saving(parts[i], parts[j], blocks) for i in parts for j in range(i)}
     while savings and max(savings.values()) > 0:
@@ -169,7 +136,7 @@ def _grouped(
         parts[new] = merged
     groups: dict[Group, Int[np.ndarray, " n"]] = {}
     for part in parts.values():
-        best = int(np.argmin(_cost(blocks, part.needed)))
+        best = int(np.argmin(cost(blocks, part.needed)))
         group = Group(part.periods, int(blocks[best]), int(part.needed[best]))
         groups[group] = np.sort(np.concatenate([groups[group], part.which]) if group in groups else part.which)
     return groups
@@ -187,6 +154,6 @@ def _saving(a: _Part, b: _Part, blocks) -> float:
     """Seconds saved by one program for both."""
 
     def seconds(part: _Part) -> float:
-        return len(part.which) * part.periods * float(_cost(blocks, part.needed).min())
+        return len(part.which) * part.periods * float(cost(blocks, part.needed).min())
 
     return COMPILING + seconds(a) + seconds(b) - seconds(_merged(a, b))

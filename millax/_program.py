@@ -14,17 +14,14 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from ._case import Case
+from ._gain import RERUNS, tolerance
 from ._members import SPINDLE_SPEED, member
 from ._plan import Group
 from ._reductions import Reduction
-from ._settings import RESIDUAL_TOLERANCE
-from ._simulate import Simulation, simulate
+from ._simulate import Simulation, simulate, status_of
 
 BATCH = 16
 """Members that a device computes at once: their working set stays in the cache."""
-
-RERUNS = 2
-"""How often members whose sweeps have not converged are simulated again, each time with twice as many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +65,7 @@ def compute(
     with precision(work):
         found = _run(work, group, table, periods, devices)
         for rerun in range(1, RERUNS + 1):
-            again = np.flatnonzero(~(found["residual"] <= _tolerance(_float(work))))
+            again = np.flatnonzero(~(found["residual"] <= tolerance(_float(work))))
             if again.size == 0:
                 break
             more = _run(work, group._replace(sweeps=group.sweeps * 2**rerun), table[again], periods[again], devices)
@@ -88,11 +85,6 @@ def double_precision() -> bool:
 def precision(work: Work):
     """A context in which JAX computes in the precision of `work`, whatever this process or thread does elsewhere."""
     return contextlib.nullcontext() if double_precision() == work.x64 else jax.enable_x64(work.x64)
-
-
-def _tolerance(dtype) -> float:
-    """Of the residual, as in `millax._simulate`."""
-    return max(RESIDUAL_TOLERANCE, 32 * float(jnp.finfo(dtype).eps))
 
 
 def _run(work: Work, group: Group, table, periods, devices: int) -> dict[str, np.ndarray]:
@@ -150,10 +142,8 @@ def _ended(sim: Simulation, case: Case, periods: Int[Array, ""]) -> Simulation:
     """`sim` up to the end of a tooth period: NaN behind it, and the status without what happens there."""
     inside = jnp.arange(sim.time.size) < periods * case.settings.steps_per_tooth
     displacement = jnp.where(inside[:, None], sim.displacement, 0.0)
-    finite = jnp.all(jnp.isfinite(displacement)) & jnp.all(jnp.isfinite(sim.force) | ~inside[:, None])
-    strayed = jnp.any(jnp.abs(displacement) > case.tool.radius)
-    unsettled = ~(sim.residual <= _tolerance(sim.force.dtype))
-    status = jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(unsettled, 1, 0)))
+    force = jnp.where(inside[:, None], sim.force, 0.0)
+    status = status_of(force, displacement, sim.residual, case.tool.radius)
 
     def until_the_end(trace):
         return jnp.where(inside.reshape(-1, *[1] * (trace.ndim - 1)), trace, jnp.nan)

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,14 +12,37 @@ from ._types import Scalar
 
 
 class Motion(NamedTuple):
-    """One motion over a block of m steps, from the state at its start and the mean in-plane force in each step."""
+    """One motion over a block of m steps, from the state at its start and the mean in-plane force in each step.
 
-    free: Float[Array, "... states"]
-    forced: Float[Array, "2 ... m"]
+    Its columns are quantities and steps in one: matrices that XLA multiplies as they are.
+    """
+
+    free: Float[Array, "states columns"]
+    by_x: Float[Array, "m columns"]
+    by_y: Float[Array, "m columns"]
 
     def __call__(self, state: Float[Array, " states"], force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Array:
-        # The two force components stay apart: joined, XLA would compute them in one loop that it cannot vectorise.
-        return self.free @ state + self.forced[0] @ force[0] + self.forced[1] @ force[1]
+        return self.of_state(state) + self.of_force(force)
+
+    def of_state(self, state: Float[Array, " states"]) -> Float[Array, " columns"]:
+        """The motion without a force."""
+        return state @ self.free
+
+    def of_force(self, force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Float[Array, " columns"]:
+        """The motion that starts from rest."""
+        return force[0] @ self.by_x + force[1] @ self.by_y
+
+
+@jax.custom_jvp
+def _times(x: Float[Array, " n"], matrix: Float[Array, "n columns"]) -> Float[Array, " columns"]:
+    return x @ matrix
+
+
+@_times.defjvp
+def _times_jvp(primals, tangents):
+    # The change of the matrix as a sum: XLA has no good product of a vector with several matrices at once.
+    (x, matrix), (dx, dmatrix) = primals, tangents
+    return x @ matrix, dx @ matrix + jnp.sum(x[:, None] * dmatrix, axis=0)
 
 
 class BlockResponse(NamedTuple):
@@ -29,13 +53,13 @@ class BlockResponse(NamedTuple):
     """
 
     position: Motion
-    """In the plane, shape (2, m) [m]."""
+    """In the plane, (x, y) by steps [m]."""
     velocity: Motion
-    """In the plane, shape (2, m) [m/s]."""
+    """In the plane, (x, y) by steps [m/s]."""
     axes: Motion
-    """Position along the axes of the structure, shape (axes, m) [m]."""
+    """Position along the axes of the structure, axes by steps [m]."""
     end: Motion
-    """The state after the block, shape (states,)."""
+    """The state after the block."""
 
 
 def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockResponse:
@@ -56,14 +80,16 @@ def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockRespons
     forced = jnp.where((lag >= 0)[:, :, None, None], lagged[np.maximum(lag, 0)], 0.0)  # (step, step of force, state, 2)
 
     def observed(rows):
-        return Motion(jnp.einsum("as,jst->ajt", rows, to_middle), jnp.einsum("as,jlsb->bajl", rows, forced))
+        free = jnp.einsum("as,jst->taj", rows, to_middle).reshape(2 * n, len(rows) * steps)
+        by = jnp.einsum("as,jlsb->blaj", rows, forced).reshape(2, steps, len(rows) * steps)
+        return Motion(free, by[0], by[1])
 
     still = jnp.zeros((2, n))
     return BlockResponse(
         position=observed(jnp.concatenate([structure.in_plane_shapes, still], axis=1)),
         velocity=observed(jnp.concatenate([still, structure.in_plane_shapes / dt], axis=1)),
         axes=observed(jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)),
-        end=Motion(powers[steps], jnp.einsum("lst,tb->bsl", powers[:steps][::-1], step_input)),
+        end=Motion(powers[steps].T, *jnp.einsum("lst,tb->bls", powers[:steps][::-1], step_input)),
     )
 
 

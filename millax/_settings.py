@@ -3,19 +3,15 @@
 import math
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from ._check import not_negative, positive
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._response import block_response
+from ._gain import cost, gain_kernel, sweeps_needed
 from ._structure import Structure
 from ._tool import EndMill
 from ._types import Scalar, as_number
-
-RESIDUAL_TOLERANCE = 1e-6
-"""Largest residual of a simulation in float64 that counts as converged."""
 
 MOST_STEPS = 10**8
 """Longest trace: some 10 GB."""
@@ -34,8 +30,8 @@ class Settings(eqx.Module):
       0.2 % (`make validate`).
     - `passes`: earlier tooth passes remembered, >= 1. One is enough while no tooth loses contact.
     - `blocks`: parts into which a tooth period is cut, a divisor of steps_per_tooth. Each is computed at once.
-    - `sweeps`: fixed-point sweeps per block, >= 1. `Settings.suited` chooses `blocks` and `sweeps`; the residual that the
-      last sweep leaves is part of every result.
+    - `sweeps`: fixed-point sweeps per block, >= 1. `Settings.suited` chooses `blocks` and `sweeps`; the error that they
+      leave is estimated in every result, as its residual. A rigid tool takes one.
     - `width`: half-width of the smoothed gates [m], >= 0; small against h_s and the feed per tooth. The bias of the mean
       force at the default is below 0.3 % (`make validate`); 0 is the hard model.
     """
@@ -96,13 +92,14 @@ class Settings(eqx.Module):
             passes=passes,
             width=width,
         )
-        _require_resolved(structure, period, steps_per_tooth)
+        require_resolved(structure, period, steps_per_tooth)
         if blocks is None or sweeps is None:
             blocks, sweeps = _cheapest(tool, force, structure, cut, settings, blocks, sweeps)
         return Settings(settings.periods, steps_per_tooth, passes, blocks, sweeps, width)
 
 
-def _require_resolved(structure: Structure, period: float, steps_per_tooth: int) -> None:
+def require_resolved(structure: Structure, period: float, steps_per_tooth: int) -> None:
+    """Raises `ValueError` where the steps of a tooth period [s] cannot resolve the fastest mode."""
     n = structure.coordinates
     if n == 0:
         return
@@ -122,26 +119,16 @@ def _require_resolved(structure: Structure, period: float, steps_per_tooth: int)
 
 
 def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[int, int]:
-    """Blocks per tooth period and sweeps per block that converge at the least cost.
-
-    One sweep multiplies the error of the force by at most kappa G, with kappa the force per displacement of the teeth in
-    contact (the secant of the law at the feed per tooth: thin chips are stiffer, but carry little force) and G the
-    response within the block. G is lower triangular, so its powers fall faster than geometrically; the change in sweep s
-    is about (kappa G)^(s - 1) of the force.
-    """
+    """Blocks per tooth period and sweeps per block that converge at the least cost."""
     if structure.coordinates == 0:
         return blocks or 1, sweeps or 1
-    steps = settings.steps_per_tooth
-    thickness = jnp.maximum(cut.feed_per_tooth(tool), settings.width)
-    in_contact = (tool.teeth + 1) // 2
-    kappa = float(in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2))
-    forced = eqx.filter_jit(block_response)(structure, cut.tooth_period(tool) / steps, steps).position.forced
-    gain = kappa * np.linalg.norm(np.asarray(forced), axis=(0, 1))
-    options = []
-    for parts in [blocks] if blocks else [p for p in range(1, steps + 1) if steps % p == 0 and p <= 16]:
-        m = steps // parts  # the response does not depend on when the block begins: a corner of that to a whole period
-        count, power = 1, np.eye(m)
-        while power.sum(axis=1).max() > RESIDUAL_TOLERANCE and count < 30:
-            count, power = count + 1, power @ gain[:m, :m]
-        options.append((parts * (5 + 1.2 * count) + 1.5 * count, parts, sweeps or count))  # microseconds, measured
-    return min(options)[1:]
+    kernel = np.asarray(gain_kernel(tool, force, structure, cut, settings.width, settings.steps_per_tooth))
+    options = np.array([blocks] if blocks else block_options(settings.steps_per_tooth))
+    needed = sweeps_needed(kernel[None], options)[0] if sweeps is None else np.full(len(options), sweeps)
+    best = int(np.argmin(cost(options, needed)))
+    return int(options[best]), int(needed[best])
+
+
+def block_options(steps_per_tooth: int) -> list[int]:
+    """Numbers of blocks into which a tooth period may be cut."""
+    return [parts for parts in range(1, 17) if steps_per_tooth % parts == 0]

@@ -1,13 +1,14 @@
-"""The simulation: one scan over tooth periods, each computed at once.
+"""The simulation: from a case to its traces.
 
-Within a block (a tooth period or a part of one) the surfaces left by earlier passes are known, so chip thickness and
-force of all its steps are one vectorised expression of the tool's displacement. The displacement follows from the force
-by the structure's exact response. The two are iterated, force -> displacement -> force, from the force one tooth period
-earlier: the map is strictly causal, so the iteration always converges; how many sweeps it needs depends on how strongly
-the force feels the displacement within a block (`Settings.suited` chooses). What the last sweep changed is reported as
-the residual.
+Tooth periods are marched through one after the other (`_march`), each computed at once in one or a few blocks (`_block`).
+Within a block the surfaces left by earlier passes are known, so chip thickness and force of all its steps are one
+vectorised expression of the tool's displacement; the displacement follows from the force by the structure's exact
+response. The two are iterated from the force one tooth period earlier: how many sweeps it takes depends on how strongly
+the force feels the displacement within a block (`Settings.suited` chooses). The error that the sweeps leave is estimated
+in every simulation, as its residual.
 """
 
+import dataclasses
 import warnings
 from typing import overload
 
@@ -19,14 +20,16 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from ._block import Process, solve
+from ._block import cutting
 from ._case import Case
-from ._chip import Angles, past_surfaces
-from ._contact import Borders, borders_met
+from ._chip import Angles
+from ._contact import borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
+from ._gain import RERUNS, tolerance
+from ._march import Carry, Model, Past, Place, at_rest, map_periods, march, process, remembered
 from ._response import block_response
-from ._settings import RESIDUAL_TOLERANCE, Settings
+from ._settings import Settings
 from ._stock import Stock
 from ._structure import Structure
 from ._tool import EndMill
@@ -54,7 +57,7 @@ class Simulation(eqx.Module):
     - `force`: mean force on the tool over each step, in the workpiece frame [N], shape (steps, 3).
     - `displacement`: deviation of the tool centre from its commanded path [m], shape (steps, axes).
     - `chip_thickness`: mean over each step, per tooth [m], shape (steps, teeth).
-    - `residual`: largest change of the force in the last sweep over the largest force [-].
+    - `residual`: error of the force that the sweeps leave, estimated, over the largest force [-].
     - `status`: 0 where the simulation can be trusted; otherwise a key of `millax.STATUS`.
     - `axes`: the columns of `displacement`. Static.
     """
@@ -92,8 +95,9 @@ def simulate(*parts, throw: bool = True) -> Simulation:
     **Arguments:**
 
     - A `Case`, or the objects it is made of: tool, force law, structure, cut, stock, settings.
-    - `throw`: raise `SimulationError` when the result must not be used. Under `jit`, `grad` or `vmap` nothing can be
-      raised: look at `Simulation.status` there.
+    - `throw`: repeat the simulation with more sweeps where those of the settings do not converge, and raise
+      `SimulationError` when the result must not be used. Under `jit`, `grad` or `vmap` neither can be done: look at
+      `Simulation.status` there.
 
     Warns when it runs in float32 (JAX's default): forces are then good to about 1e-3.
     """
@@ -109,68 +113,106 @@ def simulate(*parts, throw: bool = True) -> Simulation:
                 'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else',
                 stacklevel=2,
             )
+        for _ in range(RERUNS if throw else 0):
+            if int(sim.status) == 1:
+                case = _with_more_sweeps(case)
+                sim = _simulate(case)
         status = int(sim.status)
         if throw and status:
             raise SimulationError(f"{STATUS[status]} (residual {float(sim.residual):.1e})")
     return sim
 
 
+def _with_more_sweeps(case: Case) -> Case:
+    settings = dataclasses.replace(case.settings, sweeps=2 * case.settings.sweeps)
+    return Case(case.tool, case.force, case.cut, case.stock, case.structure, settings)
+
+
 @eqx.filter_jit
 def _simulate(case: Case) -> Simulation:
     tool, law, cut, structure, settings = case.tool, case.force, case.cut, case.structure, case.settings
-    teeth, steps, blocks = tool.teeth, settings.steps_per_tooth, settings.blocks
+    steps, blocks = settings.steps_per_tooth, settings.blocks
     m = steps // blocks
-    step_angle = 2 * np.pi / (teeth * steps)
     tau = cut.tooth_period(tool)
-    feed_per_tooth = cut.feed_per_tooth(tool)
-    tip_speed = cut.spindle_speed * tool.radius
-    response = block_response(structure, tau / steps, m)
-    angles, borders = _geometry(case, m)
-    rigid = structure.coordinates == 0
-
-    def block(state, inputs):
-        angles, borders, (displacement, velocity), guess, travelled = inputs
-        past = past_surfaces(angles, displacement, velocity, feed_per_tooth, cut.feed_rate, tip_speed)
-        borders = borders.moved(travelled)
-        process = Process(law, angles, past, borders, tool.radius, cut.depth, settings.width, step_angle=step_angle)
-        force, chip, change = solve(process, response.position, state, guess, sweeps=1 if rigid else settings.sweeps)
-        motion = (response.position(state, force), response.velocity(state, force))
-        traces = (jnp.stack(force), response.axes(state, force), chip)
-        return response.end(state, force), (motion, force, traces, jnp.zeros(()) if rigid else change)
-
-    def period(carry, index):
-        state, past, guess = carry
-        travelled = jnp.full(blocks, index * feed_per_tooth)
-        state, (motion, guess, traces, change) = lax.scan(block, state, (angles, borders, past, guess, travelled))
-        # Per block: the newest pass in front, the oldest forgotten.
-        past = jax.tree.map(lambda new, old: jnp.concatenate([new[:, None], old[:, :-1]], axis=1), motion, past)
-        return (state, past, guess), (traces, jnp.max(change))
-
-    rest = jnp.zeros((blocks, settings.passes, 2, m))
-    start = (jnp.zeros(2 * structure.coordinates), (rest, rest), (rest[:, 0, 0], rest[:, 0, 1]))
-    index = jnp.arange(settings.periods, dtype=tau.dtype)
-    _, ((force, axes, chip), change) = lax.scan(period, start, index)
-
-    force = _trace(force)
-    displacement = _trace(axes)
-    largest = jnp.max(jnp.abs(force))
-    residual = jnp.max(change) / jnp.where(largest > 0, largest, 1.0)
-    finite = jnp.isfinite(largest) & jnp.all(jnp.isfinite(displacement))
-    strayed = jnp.any(jnp.abs(displacement) > tool.radius)
-    tolerance = max(RESIDUAL_TOLERANCE, 32 * float(jnp.finfo(force.dtype).eps))
-    status = jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual > tolerance, 1, 0)))
+    dt = tau / steps
+    sweeps = settings.sweeps if structure.coordinates else 1
+    model = Model(
+        law=law,
+        depth=cut.depth,
+        width=settings.width,
+        feed_per_tooth=cut.feed_per_tooth(tool),
+        feed_rate=cut.feed_rate,
+        tip_speed=cut.spindle_speed * tool.radius,
+        radius=tool.radius,
+        place=_places(case, m),
+        response=block_response(structure, dt, m),
+        step_angle=2 * np.pi / (tool.teeth * steps),
+    )
+    start = at_rest(blocks, settings.passes, m, 2 * structure.coordinates)
+    state, force, motion, chip, changes = march(model, start, settings.periods, sweeps=sweeps)
+    chip, changes = lax.stop_gradient((chip, changes))
+    chip = _with_derivatives_of(chip, _chips(model, start, motion))
+    if structure.mode_shapes is None and set(structure.axes) <= set("xy"):
+        displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
+    else:
+        displacement = jax.vmap(jax.vmap(model.response.axes))(state, force)
+    displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), m))
+    plane = jnp.stack([component.ravel() for component in force])
+    residual = _residual(changes, plane) if structure.coordinates else jnp.zeros(())
     return Simulation(
-        time=(jnp.arange(settings.steps) + 0.5) * (tau / steps),
-        force=jnp.pad(force, ((0, 0), (0, 1))),
+        time=(jnp.arange(settings.steps) + 0.5) * dt,
+        force=jnp.stack([*plane, jnp.zeros(settings.steps)], axis=1),
         displacement=displacement,
-        chip_thickness=_by_tooth(chip, teeth),
-        residual=lax.stop_gradient(residual),
-        status=status,
+        chip_thickness=_by_tooth(chip),
+        residual=residual,
+        status=status_of(plane, displacement, residual, tool.radius),
         axes=structure.axes,
     )
 
 
-def _geometry(case: Case, m: int) -> tuple[Angles, Borders]:
+def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods blocks teeth m"]:
+    """Chip thickness of known motions."""
+
+    def of_period(inputs):
+        period, past, displacement = inputs
+        return jax.vmap(lambda place, past, u: cutting(process(model, place, past, period), u)[1])(
+            model.place, past, displacement
+        )
+
+    number = jnp.arange(len(motion.velocity), dtype=model.depth.dtype)
+    return map_periods(of_period, (number, remembered(start.past, motion), motion.displacement))
+
+
+def status_of(force, displacement, residual, radius) -> Int[Array, ""]:
+    """The status of a simulation with these traces: the most serious that applies."""
+    finite = jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(displacement))
+    strayed = jnp.any(jnp.abs(displacement) > radius)
+    return jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual <= tolerance(force.dtype), 0, 1)))
+
+
+@jax.custom_jvp
+def _with_derivatives_of(value, model):
+    """`value`, which is `model` computed before: where nobody asks for derivatives, `model` need not be computed."""
+    return value
+
+
+@_with_derivatives_of.defjvp
+def _derivatives_of_model(primals, tangents):
+    return primals[0], tangents[1]
+
+
+def _residual(changes, force) -> Scalar:
+    """Estimated error of the forces that the sweeps leave, over the largest force.
+
+    One sweep more would change the force by as much less as the last sweep changed it less than the one before.
+    """
+    before, last = (lax.stop_gradient(jnp.max(change)) for change in changes)
+    contraction = jnp.where(last < before, last / jnp.where(before > 0, before, 1.0), 1.0)
+    largest = lax.stop_gradient(jnp.max(jnp.abs(force)))
+    return last * contraction / jnp.where(largest > 0, largest, 1.0)
+
+
+def _places(case: Case, m: int) -> Place:
     """Directions and borders of every block of the first tooth period; in later ones only the feed has gone on."""
     tool, cut, settings = case.tool, case.cut, case.settings
     steps = settings.steps_per_tooth
@@ -180,7 +222,11 @@ def _geometry(case: Case, m: int) -> tuple[Angles, Borders]:
     advance = cut.feed_per_tooth(tool) / steps
     centres = [(cut.start[0] + advance * (step + end), cut.start[1]) for end in (0, 1)]
     angles = Angles(jnp.asarray(np.cos(phi[:, 0])), jnp.asarray(np.sin(phi[:, 0])))
-    return angles, borders_met(case.stock, tool.radius, centres, phi, step_angle)
+    borders = borders_met(case.stock, tool.radius, centres, phi, step_angle)
+    inner, outer = jnp.minimum(borders.before, borders.after), jnp.maximum(borders.before, borders.after)
+    front = np.cos(phi) > -0.5
+    nearest = jnp.stack([jnp.min(inner, axis=(2, 3)), jnp.min(jnp.where(front, inner, jnp.inf), axis=(2, 3))], axis=1)
+    return Place(angles, borders, nearest, jnp.max(outer, axis=(2, 3)))
 
 
 def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "steps columns"]:
@@ -189,9 +235,9 @@ def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "st
     return jnp.moveaxis(blocks, 2, 3).reshape(periods * per_period * m, columns)
 
 
-def _by_tooth(chip: Float[Array, "periods blocks teeth m"], teeth: int) -> Float[Array, "steps teeth"]:
+def _by_tooth(chip: Float[Array, "periods blocks teeth m"]) -> Float[Array, "steps teeth"]:
     """From places around the tool to teeth: in period b the tooth i stands at place i + b."""
-    periods = chip.shape[0]
-    place = (np.arange(teeth)[None, :] + np.arange(periods)[:, None]) % teeth
-    chip = jnp.moveaxis(chip, 2, 1).reshape(periods, teeth, -1)
-    return _trace(jnp.take_along_axis(chip, jnp.asarray(place)[:, :, None], axis=1)[:, None])
+    periods, _, teeth, _ = chip.shape
+    turns = jnp.pad(chip, ((0, -periods % teeth), (0, 0), (0, 0), (0, 0))).reshape(-1, teeth, *chip.shape[1:])
+    turned = jnp.stack([jnp.roll(turns[:, b], -b, axis=2) for b in range(teeth)], axis=1)
+    return _trace(turned.reshape(-1, *chip.shape[1:])[:periods])

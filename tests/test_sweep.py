@@ -14,10 +14,10 @@ from cases import RPM, slot
 
 import millax as mx
 from millax import _plan, _program
+from millax._gain import RESIDUAL_TOLERANCE
 from millax._members import members_of
 from millax._names import replace
 from millax._plan import Group, plan
-from millax._settings import RESIDUAL_TOLERANCE
 
 CASE = slot(duration=0.03, mass=5.0, stiffness=2e7)  # 20 tooth periods at 10 000 rpm, 318 Hz
 SPEEDS = np.array([7000, 12345]) * RPM
@@ -136,7 +136,7 @@ def test_the_residual_is_always_looked_at(monkeypatch):
     """Too few sweeps: simulated again with more, and status 1 where that does not help."""
     case = slot(duration=0.012, mass=1.0)
     expected = mx.sweep(case, grid={"cut.depth": DEPTHS}, reduce=["mean_force"])
-    monkeypatch.setattr(_plan, "_sweeps_needed", lambda kernel, lengths: np.full((len(kernel), len(lengths)), 2))
+    monkeypatch.setattr(_plan, "sweeps_needed", lambda kernel, blocks: np.full((len(kernel), len(blocks)), 2))
     again = mx.sweep(case, grid={"cut.depth": DEPTHS}, reduce=["mean_force"])
     assert (again["residual"] < RESIDUAL_TOLERANCE).all()
     np.testing.assert_allclose(again["mean_force"], expected["mean_force"], rtol=1e-5, atol=1e-5)
