@@ -1,10 +1,14 @@
 """identification: finding the parameters of a millax case from measured traces."""
 
-from ._fit import Progress, fit
-from ._fitfile import FitProblem, load_fit
-from ._parameters import Parameter
-from ._result import STATUS, Estimate, FitResult, TraceFit
-from ._traces import Trace, TraceError, read_trace
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ._fit import Progress, fit
+    from ._fitfile import FitProblem, load_fit
+    from ._parameters import Parameter
+    from ._result import STATUS, Estimate, FitResult, TraceFit
+    from ._traces import Trace, TraceError, read_trace
 
 __all__ = [
     "STATUS",
@@ -20,3 +24,19 @@ __all__ = [
     "load_fit",
     "read_trace",
 ]
+
+_HOMES = {
+    "_fit": ("Progress", "fit"),
+    "_fitfile": ("FitProblem", "load_fit"),
+    "_parameters": ("Parameter",),
+    "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
+    "_traces": ("Trace", "TraceError", "read_trace"),
+}
+
+
+def __getattr__(name: str):
+    # Loaded when asked for: the command line has to set XLA's environment before anything imports JAX.
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(f".{home}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,13 +9,13 @@ import importlib.metadata
 import sys
 from collections.abc import Sequence
 
-import jax
+from ._runtime import prepare
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line (default: that of the process) and return its exit code."""
     arguments = _parser().parse_args(argv)
-    jax.config.update("jax_enable_x64", True)
+    prepare()
 
     from millax import CaseError, SimulationError
 

@@ -1,4 +1,8 @@
-"""Tests run in float64, as the command line does."""
+"""Tests run in float64, as the command line does, and leave the user's compilation cache alone."""
+
+import os
+
+os.environ.setdefault("JAX_ENABLE_COMPILATION_CACHE", "false")
 
 import jax
 
