@@ -20,17 +20,17 @@ from ._response import Motion
 
 
 class Partials(NamedTuple):
-    """Derivatives of one force in each step by what belongs to the same step."""
+    """Derivatives of the forces along x and y (first axis) in each step, by what belongs to the same step."""
 
-    past_displacement: Float[Array, "passes 2 m"]
+    past_displacement: Float[Array, "2 passes 2 m"]
     """By the displacement in the earlier passes [N/m]."""
-    past_velocity: Float[Array, "passes 2 m"]
+    past_velocity: Float[Array, "2 passes 2 m"]
     """By the velocity in the earlier passes [N s/m]."""
-    displacement: Float[Array, "2 m"]
+    displacement: Float[Array, "2 2 m"]
     """By the present displacement [N/m]."""
 
 
-def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) -> tuple[tuple[Partials, Partials], Pair]:
+def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) -> tuple[Partials, Float[Array, "2 m"]]:
     """Derivatives of the forces along x and y, and their changes with those inputs that have a tangent [N].
 
     `tangents` holds the changes of the process, None for an input that does not change. Those of the earlier motions do not
@@ -38,24 +38,23 @@ def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) 
     """
     others = tangents.earlier._replace(displacement=None, velocity=None)
     wanted = others._replace(displacement=p.earlier.displacement, velocity=p.earlier.velocity)
-    partials, direct = [], []
-    for by_earlier, by_conditions, by_displacement in _by_inputs(p, wanted, tangents.conditions, displacement):
-        partials.append(Partials(by_earlier.displacement, by_earlier.velocity, by_displacement))
-        by = by_earlier._replace(displacement=None, velocity=None), by_conditions
-        direct.append(contract(by, (others, tangents.conditions)))
-    return (partials[0], partials[1]), (direct[0], direct[1])
+    by_earlier, by_conditions, by_displacement = _by_inputs(p, wanted, tangents.conditions, displacement)
+    by_others = by_earlier._replace(displacement=None, velocity=None)
+    direct = contract((by_others, by_conditions), (others, tangents.conditions))
+    return Partials(by_earlier.displacement, by_earlier.velocity, by_displacement), direct
 
 
 def respond(
-    by: tuple[Partials, Partials], direct: Pair, displaced: Float[Array, " 2*m"], position: Motion, sweeps: int
+    by: Float[Array, "2 2 m"], direct: Float[Array, "2 m"], displaced: Float[Array, " 2*m"], position: Motion, sweeps: int
 ) -> tuple[Float[Array, "2 m"], Pair]:
     """Changes of displacement [m] and force [N] over a block that agree with each other.
 
-    `direct` is the change of the force at a fixed displacement, `displaced` that of the displacement at a fixed force.
+    `by` are the derivatives of the forces by the present displacement, `direct` is the change of the forces at a fixed
+    displacement, `displaced` that of the displacement at a fixed force.
     """
 
     def force(displacement) -> Pair:
-        x, y = (d + contract(b.displacement[:, None], displacement[:, None]) for d, b in zip(direct, by, strict=True))
+        x, y = (direct[i] + by[i, 0] * displacement[0] + by[i, 1] * displacement[1] for i in (0, 1))
         return x, y
 
     def displacement(force: Pair):
@@ -65,17 +64,17 @@ def respond(
     return displacement(change), change
 
 
-def contract(by, change) -> Float[Array, " m"]:
-    """Change of a force in each step: partial derivatives times changes, over all inputs."""
+def contract(by, change) -> Float[Array, "2 m"]:
+    """Changes of both forces in each step: partial derivatives times changes, over all inputs."""
     terms = [
-        jnp.sum((b * d).reshape(-1, b.shape[-1]), axis=0)
+        jnp.sum((b * d).reshape(2, -1, b.shape[-1]), axis=1)
         for b, d in zip(jax.tree.leaves(by), jax.tree.leaves(change), strict=True)
     ]
     return sum(terms[1:], terms[0]) if terms else jnp.zeros(())
 
 
 def _by_inputs(p: Process, wanted_earlier: Earlier, wanted_conditions: Conditions, displacement):
-    """For the force along x and then along y: derivatives by the earlier passes, by the conditions, by the displacement.
+    """For the forces along x and y (first axis): derivatives by the earlier passes, the conditions, the displacement.
 
     The chain rule is spelt out. What goes through a condition is stored once, and differentiated without its other branch.
     """
@@ -83,49 +82,52 @@ def _by_inputs(p: Process, wanted_earlier: Earlier, wanted_conditions: Condition
     earlier, fixed_earlier = _repeated(p.earlier, wanted_earlier, (m,))
     conditions, fixed_conditions = _repeated(p.conditions, wanted_conditions, (teeth, m))
     everywhere = jnp.broadcast_to(displacement[:, None], (2, teeth, m))
-    one, none = jnp.ones((teeth, m)), jnp.zeros((teeth, m))
 
     def of_contact(near: bool):
         """By conditions, displacement, gap and rate."""
 
         def met(conditions, displacement, gap, rate):
-            return contact(eqx.combine(conditions, fixed_conditions), displacement, gap, rate, p.step_angle, near=near)
+            found = contact(eqx.combine(conditions, fixed_conditions), displacement, gap, rate, p.step_angle, near=near)
+            return (found.tangential, found.turn) if near else (found.tangential,)
 
         def force(met, conditions):
             law, depth, *_ = eqx.combine(conditions, fixed_conditions)
-            return plane_force(p.angles, met, law.kr, depth)
+            tangential, turn = met if near else (*met, jnp.zeros((teeth, m)))
+            return plane_force(p.angles, Contact(tangential, tangential, turn), law.kr, depth)
 
-        met_there, back = jax.vjp(met, conditions, everywhere, gap, rate)
-        by_tangential = back(Contact(one, none, none))
-        by_turn = back(Contact(none, none, one)) if near else None
-        _, project = jax.vjp(force, met_there, conditions)
+        met_there, of_met = jax.vjp(met, conditions, everywhere, gap, rate)
+        _, of_force = jax.vjp(force, met_there, conditions)
+        # One by one and not by vmap: with known ones and zeros, XLA leaves out most of the work.
+        by = [of_met(unit) for unit in _units(len(met_there), (teeth, m))]
         found = []
-        for unit in ((one[0], none[0]), (none[0], one[0])):
-            by_met, by_conditions = project(unit)
-            total = jax.tree.map(lambda d, by=by_met: by.tangential * d, by_tangential)
-            if near:
-                total = jax.tree.map(lambda t, d, by=by_met: t + by.turn * d, total, by_turn)
-            through, by_displacement, by_gap, by_rate = total
-            by_conditions = jax.tree.map(jnp.add, through, by_conditions)
-            found.append((by_conditions, jnp.sum(by_displacement, axis=1), by_gap, by_rate))
-        return tuple(found)
+        for unit in _units(2, (m,)):
+            by_met, by_conditions = of_force(unit)
+            through, *others = jax.tree.map(lambda *d, by_met=by_met: sum(map(jnp.multiply, by_met, d)), *by)
+            found.append((jax.tree.map(jnp.add, through, by_conditions), *others))
+        by_conditions, by_displacement, *by_path = jax.tree.map(lambda x, y: jnp.stack([x, y]), *found)
+        return by_conditions, jnp.sum(by_displacement, axis=2), *by_path
 
     def of_paths(change):
         _, back = jax.vjp(lambda e, u: paths(p.angles, eqx.combine(e, fixed_earlier), u), earlier, displacement)
-        return back(change)
+        return jax.vmap(back)(change)
 
     def of_no_paths(change):
-        return jax.tree.map(jnp.zeros_like, (earlier, displacement))
+        return jax.tree.map(lambda x: jnp.zeros((2, *x.shape)), (earlier, displacement))
 
     def least(paths):
         return thickness(paths, p.conditions.width, p.step_angle)
 
     (gap, rate), of_least = jax.vjp(least, found_paths(p, displacement))
-    by = lax.cond(p.near, lambda: of_contact(near=True), lambda: of_contact(near=False))
-    for by_conditions, by_displacement, by_gap, by_rate in by:
-        (by_paths,) = of_least((by_gap, by_rate))
-        by_earlier, through_paths = lax.cond(p.touching, of_paths, of_no_paths, by_paths)
-        yield by_earlier, by_conditions, by_displacement + through_paths
+    near, far = (lambda near=near: of_contact(near) for near in (True, False))
+    by_conditions, by_displacement, by_gap, by_rate = lax.cond(p.near, near, far)
+    (by_paths,) = jax.vmap(of_least)((by_gap, by_rate))
+    by_earlier, through_paths = lax.cond(p.touching, of_paths, of_no_paths, by_paths)
+    return by_earlier, by_conditions, by_displacement + through_paths
+
+
+def _units(n: int, shape: tuple[int, ...]):
+    """n times n quantities, of which one after the other is 1 everywhere and the rest 0."""
+    return [tuple(jnp.full(shape, float(i == j)) for j in range(n)) for i in range(n)]
 
 
 def _repeated(inputs, wanted, shape: tuple[int, ...]):

@@ -171,8 +171,9 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
     def block(change, inputs):
         by, direct, past, (position, velocity, end) = inputs
-        x, y = (d + contract(tuple(b[:2]), tuple(past)) for d, b in zip(direct, by, strict=True))
-        displacement, force = respond(by, (x, y), position + response.position.of_state(change), response.position, sweeps)
+        direct = direct + contract(by[:2], tuple(past))
+        displaced = position + response.position.of_state(change)
+        displacement, force = respond(by.displacement, direct, displaced, response.position, sweeps)
         velocity = velocity + response.velocity(change, force)
         motion = Past(displacement, velocity.reshape(2, -1))
         return end + response.end(change, force), (change, force, motion)
