@@ -3,8 +3,8 @@
  *
  * Per step, displacement and mean force are iterated until they agree, instead of in sweeps over whole tooth periods. In
  * the order of millax/_math.py, _forces.py, _chip.py, _contact.py. What a careful programmer would do is done: sizes known
- * at compile time, tables for all that repeats every tooth period, teeth out of contact left at once, no border arithmetic
- * far from a border, no square root where a gate is open or shut, and a good first guess of the force. */
+ * at compile time, tables for all that repeats every tooth period, teeth out of contact left at the first pass that shows
+ * it, no border arithmetic far from a border, no square root for teeth behind the cut, and a good first guess of the force. */
 #include <math.h>
 #include <stdlib.h>
 
@@ -30,7 +30,7 @@ typedef struct {
 
 typedef struct { double before, after, steepness, bulge, nx, ny; int exits; } Border;
 typedef struct { double cosine, sine; Border border[BORDERS + 1]; } Place; /* a tooth in one step of the tooth period */
-typedef struct { double radial, tangential, slope; } Past;
+typedef struct { double x, y, vx, vy; } Past; /* from an earlier pass to now but for u(t) [m]; its velocity over Omega R */
 typedef struct { double tangential, thickness, turn; } Contact;
 
 /* _math.py */
@@ -60,27 +60,29 @@ static inline double work(const Case *c, double low, double high)
     return c->k0 * c->hs * c->hs * (c->r * step * (u + step / 2) + (1 - c->r) * (step - log1p(step / (1 + u))));
 }
 
-/* _chip.py: the mean positive part of g_k over the step, of the pass that leaves the least; its gap and rate */
+/* _chip.py: gap and rate of the pass that leaves the least. Returns 0 for a tooth out of contact, 1 for one that may cut. */
 
-static inline double thickness(const Case *c, const Place *p, const Past *past, double x, double y, double *gap, double *rate)
+static inline int thickness(const Case *c, const Place *p, const Past *past, double x, double y, double *gap, double *rate)
 {
-    const double radial = p->cosine * x - p->sine * y, tangential = -p->sine * x - p->cosine * y;
+    const double n = p->cosine, s = p->sine;
     double least = 0;
     for (int k = 0; k < PASSES; k++) {
-        const double across = tangential + past[k].tangential, change = fabs(across) * (c->step_angle / 2);
+        const double dx = x + past[k].x, dy = y + past[k].y;
+        const double across = -s * dx - n * dy, change = fabs(across) * (c->step_angle / 2);
         const double g = fabs(across) < c->radius
-            ? radial + past[k].radial + across * (across / (2 * c->radius) - past[k].slope) : c->radius;
-        const double reach = c->width + change + 1e-15;
-        const double mean = g >= reach ? g : g <= -reach ? 0 : positive_part(g, half_change(change, c->width));
+            ? n * dx - s * dy + across * (across / (2 * c->radius) - (n * past[k].vx - s * past[k].vy)) : c->radius;
+        /* So far out of contact that any pass preferred to this one, or blended with it, is out of contact too. */
+        if (g < -change - 3 * c->width) return 0;
+        const double score = fmax(g, (g + change) / 2);
         if (k == 0) {
-            least = mean, *gap = g, *rate = across;
+            least = score, *gap = g, *rate = across;
             continue;
         }
-        const double weight = preferred(least, mean, c->width);
+        const double weight = preferred(least, score, c->width);
         if (weight == 0) continue;
-        least += weight * (mean - least), *gap += weight * (g - *gap), *rate += weight * (across - *rate);
+        least += weight * (score - least), *gap += weight * (g - *gap), *rate += weight * (across - *rate);
     }
-    return least;
+    return 1;
 }
 
 /* _contact.py */
@@ -171,18 +173,14 @@ double same_model(const Case *given, double *restrict force, double *restrict di
             const double *before = force + 2 * (step - N);
             fx += before[0] - before[-2], fy += before[1] - before[-1];
         }
-        Past past[TEETH][PASSES];
+        Past past[PASSES];
         int at = slot;
         for (int k = 0; k < PASSES; k++) {
             at -= N;
             if (at < 0) at += KEPT;
             const double *q = motion[at];
-            const double x = (k + 1) * c->feed_per_tooth - q[0], y = -q[1];
-            const double vx = (c->feed_rate + q[2]) / c->tip_speed, vy = q[3] / c->tip_speed;
-            for (int i = 0; i < TEETH; i++) {
-                const double n = places[j][i].cosine, s = places[j][i].sine;
-                past[i][k] = (Past){n * x - s * y, -s * x - n * y, n * vx - s * vy};
-            }
+            past[k] = (Past){.x = (k + 1) * c->feed_per_tooth - q[0], .y = -q[1],
+                             .vx = (c->feed_rate + q[2]) / c->tip_speed, .vy = q[3] / c->tip_speed};
         }
         double free[4];
         for (int a = 0; a < 4; a++) {
@@ -197,7 +195,7 @@ double same_model(const Case *given, double *restrict force, double *restrict di
                 const Place *p = &places[j][i];
                 double gap, rate, *h = chip + step * TEETH + (i + (TEETH - 1) * period) % TEETH;
                 *h = 0;
-                if (thickness(c, p, past[i], x, y, &gap, &rate) == 0) continue;
+                if (!thickness(c, p, past, x, y, &gap, &rate)) continue;
                 const Contact t = crossing(c, p, x, y, gap, rate);
                 const double tangential = c->depth * t.tangential, radial = c->kr * tangential;
                 const double n = p->cosine - p->sine * t.turn, s = p->sine + p->cosine * t.turn;

@@ -12,9 +12,10 @@ import jax.numpy as jnp
 from jax import lax
 
 import millax as mx
-from millax._block import Process, cutting
-from millax._chip import Angles, past_surfaces
-from millax._simulate import _geometry
+from millax._block import Conditions, Process, cutting
+from millax._chip import Angles, Earlier
+from millax._contact import Borders
+from millax._simulate import _places
 
 from .compiled import discrete, observed, time_step
 
@@ -29,26 +30,23 @@ def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.
     n, kept = s.steps_per_tooth, s.passes * s.steps_per_tooth
     dt, seen = time_step(case), jnp.asarray(observed(case))
     (half, half_in), (whole, whole_in) = (map(jnp.asarray, discrete(case, t)) for t in (dt / 2, dt))
-    angles, borders = jax.tree.map(lambda a: _by_step(a, n), _geometry(whole_period, n))
+    place = _places(whole_period, n)
+    angles, borders = jax.tree.map(lambda a: _by_step(a, n), (place.angles, place.borders))
     earlier = n * jnp.arange(1, s.passes + 1)
+    always = jnp.asarray(True)
 
     def step(carry, index):
         state, force, history = carry
-        place, travelled = index % n, (index // n) * cut.feed_per_tooth(tool)
+        feed, place = cut.feed_per_tooth(tool), index % n
         now: Angles = jax.tree.map(lambda a: a[place], angles)
+        met: Borders = jax.tree.map(lambda a: a[place], borders)
         before = history[(index - earlier) % kept]
-        past = past_surfaces(
-            now,
-            before[:, :2, None],
-            before[:, 2:, None],
-            cut.feed_per_tooth(tool),
-            cut.feed_rate,
-            cut.spindle_speed * tool.radius,
+        past = Earlier(
+            *(before[:, :2, None], before[:, 2:, None]),
+            *(feed, cut.feed_rate, cut.spindle_speed * tool.radius, tool.radius),
         )
-        met = jax.tree.map(lambda a: a[place], borders).moved(travelled)
-        process = Process(
-            case.force, now, past, met, tool.radius, cut.depth, s.width, step_angle=2 * jnp.pi / (tool.teeth * n)
-        )
+        conditions = Conditions(case.force, cut.depth, s.width, met.moved((index // n) * feed))
+        process = Process(now, past, conditions, always, always, step_angle=2 * jnp.pi / (tool.teeth * n))
 
         def motion(force):
             return seen @ (half @ state + half_in @ force)
