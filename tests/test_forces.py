@@ -4,6 +4,7 @@ import pytest
 from scipy.integrate import quad
 
 import millax as mx
+from millax._forces import work
 
 LAWS = {
     "linear": mx.LinearLaw(kt=8e8, kr=0.3, ke=1.2e4),
@@ -17,6 +18,34 @@ LAWS = {
 def test_work_is_the_integral_of_the_force(law, low, high):
     expected, _ = quad(lambda h: float(law.tangential(h)), low, high, epsabs=0, epsrel=1e-12)
     assert float(law.work(low, high)) == pytest.approx(expected, rel=1e-9, abs=1e-20)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+@pytest.mark.parametrize(("low", "high"), [(1e-5, 1e-4), (2e-5, 2.1e-5), (0.0, 4e-5)])
+def test_the_derivative_of_the_work_by_its_limits_is_the_force(law, low, high):
+    by_low, by_high = jax.grad(lambda low, high: work(law, low, high), argnums=(0, 1))(low, high)
+    assert float(by_low) == -float(law.tangential(low))
+    assert float(by_high) == float(law.tangential(high))
+
+    def difference(integral, limit):
+        step = 1e-4 * limit
+        return float(integral(limit + step) - integral(limit - step)) / (2 * step)
+
+    assert difference(lambda h: law.work(low, h), high) == pytest.approx(float(by_high), rel=1e-7)
+    if low:
+        assert difference(lambda h: law.work(h, high), low) == pytest.approx(float(by_low), rel=1e-7)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+def test_the_derivative_of_the_work_by_the_law_is_that_of_its_integral(law):
+    low, high = 1e-5, 6e-5
+    gradient = jax.grad(lambda law: work(law, low, high))(law)
+    expected = jax.grad(lambda law: law.work(low, high))(law)
+    for ours, theirs in zip(jax.tree.leaves(gradient), jax.tree.leaves(expected), strict=True):
+        assert float(ours) == pytest.approx(float(theirs), rel=1e-12)
+    everything = jax.jvp(lambda *at: work(*at), (law, low, high), (law, 1.0, 2.0))[1]
+    integral = jax.jvp(lambda *at: type(law).work(*at), (law, low, high), (law, 1.0, 2.0))[1]
+    assert float(everything) == pytest.approx(float(integral), rel=1e-9)
 
 
 def test_fractional_slopes_are_the_ones_that_define_it():

@@ -8,6 +8,7 @@ import pytest
 from cases import ENDLESS, slot
 
 import millax as mx
+from millax import _march
 
 LEAVES = {
     "force.k0": lambda c: c.force.k0,
@@ -30,20 +31,20 @@ def traces(case):
     return jnp.concatenate([sim.force[:, :2].ravel() / 100, sim.displacement.ravel() / 1e-5])
 
 
+def varied(case, names, factors):
+    """`case` with the leaves of these names multiplied by `factors`."""
+    where = [LEAVES[name] for name in names]
+    new = [leaf(case) * factor for leaf, factor in zip(where, factors, strict=True)]
+    return eqx.tree_at(lambda c: [leaf(c) for leaf in where], case, new)
+
+
 @pytest.fixture(scope="module")
 def routes():
     """Traces as a function of factors on all leaves, their Jacobian forwards, and a random projection of it backwards."""
     case = slot(duration=0.015, sweeps=7)
-    values = [leaf(case) for leaf in LEAVES.values()]
 
     def scaled(factors):
-        return traces(
-            eqx.tree_at(
-                lambda c: [leaf(c) for leaf in LEAVES.values()],
-                case,
-                [v * f for v, f in zip(values, factors, strict=True)],
-            )
-        )
+        return traces(varied(case, LEAVES, factors))
 
     one = jnp.ones(len(LEAVES))
     forward = jax.jit(jax.jacfwd(scaled))(one)
@@ -87,6 +88,47 @@ def test_every_law_both_routes(law):
             up, down = (eqx.tree_at(lambda f, n=name: getattr(f, n), force, value * (1 + s)) for s in (1e-6, -1e-6))
             difference = (projected(up) - projected(down)) / (2e-6 * value)
             assert float(difference) == pytest.approx(float(getattr(gradient, name)), rel=1e-5)
+
+
+def test_simulations_in_several_stretches_have_the_same_derivatives(monkeypatch):
+    # 20 periods in stretches of at most 7: the reverse derivative starts from a checkpoint in each.
+    case = slot(duration=0.03, steps_per_tooth=20, sweeps=3)
+    assert case.settings.periods == 20
+    names = ("force.k0", "structure.stiffness", "cut.spindle_speed")
+    weights = jax.random.normal(jax.random.key(2), (20 * 20 * 9,))
+
+    def outputs(factors):
+        sim = mx.simulate(varied(case, names, factors), throw=False)
+        return jnp.concatenate([sim.force.ravel() / 100, sim.displacement.ravel() / 1e-5, sim.chip_thickness.ravel() / 1e-4])
+
+    one = jnp.ones(len(names))
+    whole, forward = outputs(one), jax.jit(jax.jacfwd(outputs))(one)
+    monkeypatch.setattr(_march, "STRETCH", 7)
+    jax.clear_caches()
+    in_stretches = outputs(one), jax.jit(jax.jacfwd(outputs))(one)
+    backward = jax.jit(jax.grad(lambda factors: outputs(factors) @ weights))(one)
+    jax.clear_caches()
+    for ours, theirs in zip(in_stretches, (whole, forward), strict=True):
+        assert np.abs(theirs).max() > 0
+        assert np.abs(ours - theirs).max() <= 1e-11 * np.abs(theirs).max()
+    assert np.allclose(backward, weights @ forward, rtol=1e-9)
+
+
+def test_second_derivatives_are_those_of_the_gradient():
+    # Of a weighted sum of all traces.
+    case = slot(duration=0.0045, steps_per_tooth=20, sweeps=6, stock=ENDLESS)
+    names = ("force.k0", "force.hs", "force.kr", "structure.stiffness")
+    weights = jax.random.normal(jax.random.key(3), (3 * 20 * 4,))
+    gradient = jax.jit(jax.grad(lambda factors: traces(varied(case, names, factors)) @ weights))
+    one, step = jnp.ones(len(names)), 1e-4
+    second = jax.jit(lambda direction: jax.jvp(gradient, (one,), (direction,))[1])
+    for i in range(len(names)):
+        direction = jnp.zeros(len(names)).at[i].set(1.0)
+        column = second(direction)
+        difference = (gradient(one + step * direction) - gradient(one - step * direction)) / (2 * step)
+        assert np.isfinite(column).all()
+        assert np.abs(column).max() > 1e-2
+        assert np.abs(column - difference).max() < 1e-4 * np.abs(difference).max()
 
 
 @pytest.mark.parametrize(

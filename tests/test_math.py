@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from millax._math import half_change, minimum, positive_part, preferred
+from millax._math import half_change, log1p, minimum, positive_part, preferred
 
 
 def test_positive_part_is_the_mean_of_the_hard_one():
@@ -45,3 +45,23 @@ def test_half_change_has_a_gradient_where_nothing_changes():
     assert half_change(3.0, 0.5, 0.0) == pytest.approx(0.75)
     assert half_change(0.0, 0.5, 2.0) == pytest.approx(2.0)
     assert jnp.isfinite(jax.grad(half_change)(0.0, 0.5, 0.0))
+
+
+@pytest.mark.parametrize(("kind", "tolerance"), [(np.float64, 1e-15), (np.float32, 3e-7)])
+def test_the_logarithm_of_one_plus(kind, tolerance):
+    x = np.concatenate([np.logspace(-18, 8, 200_001), np.linspace(0.0, 3.0, 200_001)[1:]]).astype(kind)
+    found, exact = np.asarray(log1p(jnp.asarray(x))), np.log1p(x.astype(np.longdouble))
+    assert found.dtype == kind
+    assert np.abs(found / exact - 1).max() <= tolerance
+    assert np.all(np.diff(found[:200_001]) >= 0)
+
+
+def test_the_logarithm_of_one_plus_nothing():
+    nothing = jnp.asarray(0.0)
+    assert jax.value_and_grad(log1p)(nothing) == (0.0, 1.0)
+    assert jax.grad(jax.grad(log1p))(nothing) == -1.0
+    assert jax.grad(log1p)(jnp.asarray(3.0)) == 0.25
+    edges = jnp.array([-0.99, -1e-3, 0.0, 5e-324, 2.2e-308, 1e-17, 1e8, 1e300])
+    assert np.isfinite(log1p(edges)).all()
+    assert np.isfinite(jax.vmap(jax.grad(log1p))(edges)).all()
+    assert not np.isfinite(log1p(jnp.array([np.nan, np.inf]))).any()

@@ -45,12 +45,16 @@ def test_response_to_stepwise_forces(structure):
     start = jnp.concatenate([state[:n], state[n:] * dt])
     pair = (jnp.asarray(force[0]), jnp.asarray(force[1]))
     scale = np.abs(middles[:n]).max()
-    assert np.allclose(response.position(start, pair), shapes @ middles[:n], atol=1e-10 * scale, rtol=0)
+    position = response.position(start, pair).reshape(2, steps)
+    assert np.allclose(position, shapes @ middles[:n], atol=1e-10 * scale, rtol=0)
     speed = np.abs(middles[n:]).max()
-    assert np.allclose(response.velocity(start, pair), shapes @ middles[n:], atol=1e-10 * speed, rtol=0)
+    velocity = response.velocity(start, pair).reshape(2, steps)
+    assert np.allclose(velocity, shapes @ middles[n:], atol=1e-10 * speed, rtol=0)
     assert np.allclose(response.end(start, pair), np.concatenate([z[:n], z[n:] * dt]), atol=1e-10 * scale, rtol=0)
     rows = [("x", "y").index(a) for a in structure.axes]
-    assert np.allclose(response.axes(start, pair), np.asarray(response.position(start, pair))[rows], rtol=1e-12)
+    assert np.allclose(response.axes(start, pair).reshape(-1, steps), np.asarray(position)[rows], rtol=1e-12)
+    parts = response.position.of_state(start) + response.position.of_force(pair)
+    assert np.allclose(parts, response.position(start, pair), atol=1e-14 * scale, rtol=0)
 
 
 def test_axial_motion_follows_from_coupling():
@@ -61,5 +65,5 @@ def test_axial_motion_follows_from_coupling():
     state = jnp.zeros(6)
     for _ in range(10):
         state = response.end(state, push)
-    assert np.allclose(response.axes(state, push)[:, -1], static, rtol=1e-3, atol=1e-12)
+    assert np.allclose(response.axes(state, push).reshape(3, -1)[:, -1], static, rtol=1e-3, atol=1e-12)
     assert abs(static[2]) > 0.1 * abs(static[0])

@@ -36,6 +36,12 @@ def test_stronger_coupling_asks_for_more_sweeps():
     assert mx.Settings.suited(TOOL, LAW, mx.Structure.rigid(), CUT, 0.1).sweeps == 1
 
 
+def test_there_are_two_sweeps_at_least_where_the_tool_gives_way():
+    # What they change tells how fast the error falls.
+    stiff = mx.Structure(("x", "y"), 1000.0, 1e9, damping_ratio=0.05)
+    assert mx.Settings.suited(TOOL, LAW, stiff, CUT, 0.1).sweeps == 2
+
+
 def test_given_blocks_and_sweeps_are_kept():
     settings = mx.Settings.suited(TOOL, LAW, ROBOT, CUT, 0.1, blocks=4, sweeps=9)
     assert (settings.blocks, settings.sweeps) == (4, 9)

@@ -14,6 +14,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm
 
 import millax as mx
+from millax import _march
 
 
 def last_revolution(sim):
@@ -132,6 +133,24 @@ def test_blocks_and_sweeps_do_not_change_the_result():
         assert np.allclose(other.force, reference.force, atol=1e-6, rtol=0)
 
 
+def test_sweeps_are_added_until_the_force_has_converged():
+    few, more = slot(mass=1.0, stiffness=3e6, sweeps=2), slot(mass=1.0, stiffness=3e6, sweeps=4)
+    assert mx.simulate(few, throw=False).status == 1
+    assert np.array_equal(mx.simulate(few).force, mx.simulate(more).force)
+    assert not np.array_equal(mx.simulate(few, throw=False).force, mx.simulate(more).force)
+
+
+@pytest.mark.parametrize("case", [{}, {"mass": 1.0, "stiffness": 3e6}, {"mass": 1.0, "stiffness": 3e6, "blocks": 4}])
+def test_the_residual_is_the_error_that_the_sweeps_leave(case):
+    converged = np.asarray(mx.simulate(slot(sweeps=20, **case)).force)
+    for sweeps in (2, 3, 4):
+        sim = mx.simulate(slot(sweeps=sweeps, **case), throw=False)
+        error = np.abs(np.asarray(sim.force) - converged).max() / np.abs(converged).max()
+        assert error < 2 * sim.residual + 1e-14
+        assert sim.residual < 100 * error + 1e-14
+    assert mx.simulate(slot(sweeps=1, **case), throw=False).residual > 1e-3  # one sweep says nothing about the next
+
+
 def step_means(fine, ratio):
     return np.asarray(fine).reshape(-1, ratio, fine.shape[1]).mean(axis=1)
 
@@ -228,6 +247,61 @@ def test_nothing_moves_before_contact():
     assert sim.status == 0
 
 
+def test_no_force_in_air_before_and_after_a_wall():
+    # 1.5 mm of air, a wall of 1.5 mm, then air again.
+    sim = mx.simulate(slot(start=(-0.0115, 0.0), stock=mx.Stock.box((0.0, 0.0015)), duration=0.45))
+    force = np.abs(np.asarray(sim.force)).max(axis=1)
+    travelled = 4 / 60 * np.asarray(sim.time)
+    before, after = travelled < 1.4e-3, travelled > 0.0115 + 0.0015 + 0.01 + 1e-3
+    assert before.sum() > 500
+    assert after.sum() > 500
+    assert not force[before].any()
+    assert not force[after].any()
+    assert not np.asarray(sim.chip_thickness)[before | after].any()
+    assert force.max() > 10
+    assert not np.asarray(sim.displacement)[before].any()
+    assert np.asarray(sim.displacement)[after].any()  # it rings down
+
+
+BORDERS = {
+    "entry": {"duration": 0.06},
+    "walls": {"duration": 0.06, "stock": mx.Stock.box((0.0, 0.004), (-0.003, 0.005))},
+    "far inside": {"duration": 0.03, "stock": mx.Stock.box((-0.03, 0.03), (-0.03, 0.03))},
+    "air, wall, air": {"duration": 0.09, "start": (-0.0105, 0.0), "stock": mx.Stock.box((0.0, 0.001), (-0.001, 0.001))},
+    "chatter, a border behind the tool": {
+        "duration": 0.045,
+        "start": (0.0085, -0.0022),
+        "stock": mx.Stock(np.array([[-0.239, -0.971]]), np.array([0.0083])),
+        "structure": mx.Structure(("x", "y"), 1.0, [3.55e6, 3.78e6], damping_ratio=0.02),
+        "force": mx.FractionalLaw(7e8, 18e-6, 0.1, 0.3),
+        "feed": 1 / 60,
+        "sweeps": 12,
+        "blocks": 8,
+    },
+}
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+@pytest.mark.parametrize("cut", BORDERS.values(), ids=BORDERS.keys())
+def test_what_is_left_out_in_the_air_and_far_from_borders_would_change_nothing(cut, passes, monkeypatch):
+    case = slot(**({"sweeps": 6} | cut), passes=passes)
+    sim = mx.simulate(case)
+    monkeypatch.setattr(_march, "_within_reach", lambda *_: (jnp.asarray(True), jnp.asarray(True)))
+    jax.clear_caches()
+    whole = mx.simulate(case)
+    jax.clear_caches()
+    for name in ("force", "displacement", "chip_thickness"):
+        ours, theirs = (np.asarray(getattr(s, name)) for s in (sim, whole))
+        assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
+def test_borders_out_of_reach_are_like_none():
+    far, none = (mx.simulate(slot(stock=stock)) for stock in (mx.Stock.box((-0.03, 0.03), (-0.03, 0.03)), ENDLESS))
+    for name in ("force", "displacement", "chip_thickness"):
+        ours, theirs = (np.asarray(getattr(s, name)) for s in (far, none))
+        assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max()
+
+
 def test_static_displacement_is_the_mean_force_over_the_stiffness():
     case = slot(damping_ratio=0.9, mass=20.0, duration=0.4)
     sim = mx.simulate(case)
@@ -277,6 +351,25 @@ def test_vmap_and_jit_give_the_same_numbers():
         assert np.allclose(mx.simulate(eqx.tree_at(lambda c: c.cut.depth, case, depth)).force, force, atol=1e-9)
 
 
+def test_members_of_a_batch_near_and_far_from_a_border_are_what_they_are_alone():
+    # One enters the workpiece, one is long inside, one is in the air all the time, one goes out.
+    case = slot(stock=mx.Stock.box((0.0, 0.02)), duration=0.015)
+    starts = jnp.array([[-0.01, 0.0], [0.0101, 0.0], [-0.05, 0.0], [0.0199, 0.001]])
+
+    def moved(start):
+        return eqx.tree_at(lambda c: c.cut.start, case, start)
+
+    batch = jax.jit(jax.vmap(lambda start: mx.simulate(moved(start))))(starts)
+    alone = [mx.simulate(moved(start)) for start in starts]
+    assert [bool(np.any(sim.force)) for sim in alone] == [True, True, False, True]
+    for i, sim in enumerate(alone):
+        for name in ("force", "displacement", "chip_thickness"):
+            ours, theirs = np.asarray(getattr(batch, name)[i]), np.asarray(getattr(sim, name))
+            assert np.abs(ours - theirs).max() <= 1e-12 * np.abs(theirs).max(initial=0.0)
+    again = jax.vmap(jax.vmap(lambda start: mx.simulate(moved(start)).force))(starts.reshape(2, 2, 2))
+    assert np.allclose(again.reshape(batch.force.shape), batch.force, rtol=0, atol=1e-12 * np.abs(batch.force).max())
+
+
 class TestFailures:
     def test_a_tool_that_leaves_its_path_by_more_than_its_radius(self):
         case = slot(stiffness=1e3, mass=1.0, duration=0.1, sweeps=6)
@@ -285,9 +378,11 @@ class TestFailures:
         assert mx.simulate(case, throw=False).status == 2
 
     def test_too_few_sweeps(self):
-        case = slot(mass=1.0, stiffness=3e6, sweeps=2)
+        # They are doubled twice; so strongly coupled, the force needs more than four.
+        case = slot(mass=0.1, stiffness=3e5, sweeps=1)
         with pytest.raises(mx.SimulationError, match="more sweeps"):
             mx.simulate(case)
+        assert mx.simulate(case, throw=False).status == 1
 
     def test_numbers_that_are_not_finite(self):
         case = eqx.tree_at(lambda c: c.force.k0, slot(), jnp.array(jnp.nan))
