@@ -39,3 +39,20 @@ def slot(
 
 ENDLESS = mx.Stock.box((None, None))
 """A workpiece without borders: the tool has always been cutting."""
+
+SLOT_FILE = """\
+[tool]
+diameter = "20 mm"
+teeth = 4  # carbide
+[force]
+law = "fractional"
+k0 = "5000 N/mm^2"   # per unit depth
+hs = "18 um"
+r = 0.1
+kr = 0.3
+[cut]
+spindle_speed = "10000 rpm"
+feed_rate = "4 m/min"
+depth = "1 mm"
+"""
+"""The slot as a case file, but for the structure and the simulation."""

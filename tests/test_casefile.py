@@ -6,26 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomlkit
+from cases import SLOT_FILE
 
 import millax as mx
 
 CASES = Path(__file__).parents[1] / "docs" / "cases"
 
-TEXT = """\
+TEXT = f"""\
 # a case
-[tool]
-diameter = "20 mm"
-teeth = 4  # carbide
-[force]
-law = "fractional"
-k0 = "5000 N/mm^2"   # per unit depth
-hs = "18 um"
-r = 0.1
-kr = 0.3
-[cut]
-spindle_speed = "10000 rpm"
-feed_rate = "4 m/min"
-depth = "1 mm"
+{SLOT_FILE}
 [structure]
 axes = ["x", "y"]
 mass = "100 kg"

@@ -7,26 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from cases import SLOT_FILE
 
 import millax as mx
 from identification import _sweep_command
 from identification.cli import main
 from millax.plots import plot_sweep
 
-RIGID = """\
-[tool]
-diameter = "20 mm"
-teeth = 4
-[force]
-law = "fractional"
-k0 = "5000 N/mm^2"
-hs = "18 um"
-r = 0.1
-kr = 0.3
-[cut]
-spindle_speed = "10000 rpm"
-feed_rate = "4 m/min"
-depth = "1 mm"
+RIGID = f"""\
+{SLOT_FILE}
 [simulation]
 duration = "0.012 s"
 """
