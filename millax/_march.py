@@ -97,7 +97,7 @@ def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> Traces:
     # Stretches of equal length, with a few periods more than asked for, so that one program serves them all.
     stretches = -(-periods // STRETCH)
     length = -(-periods // stretches)
-    number = jnp.arange(stretches * length, dtype=model.depth.dtype).reshape(stretches, length)
+    number = jnp.arange(stretches * length, dtype=model.response.position.free.dtype).reshape(stretches, length)
     if stretches == 1:
         return stretch(model, start, number[0], sweeps=sweeps)[1]
     checkpointed = jax.checkpoint(lambda carry, number: stretch(model, carry, number, sweeps=sweeps))

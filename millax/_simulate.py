@@ -179,7 +179,7 @@ def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods bl
             model.place, past, displacement
         )
 
-    number = jnp.arange(len(motion.velocity), dtype=model.depth.dtype)
+    number = jnp.arange(len(motion.velocity), dtype=model.response.position.free.dtype)
     return map_periods(of_period, (number, remembered(start.past, motion), motion.displacement))
 
 

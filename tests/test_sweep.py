@@ -52,14 +52,14 @@ def test_every_member_of_a_grid_is_the_simulation_of_its_case(grid):
             sim, case = alone(cut_spindle_speed=speed, cut_depth=depth)
             one = grid.isel({"cut.spindle_speed": i, "cut.depth": j})
             steps = sim.time.size
-            # Both have sweeps to spare; what they leave is far below the tolerance of 1e-6.
-            tight = {"rtol": 1e-9, "atol": 1e-9 * float(jnp.abs(sim.force).max())}
+            # A program shared with others may have more sweeps: the results agree to what the sweeps may leave.
+            tight = {"rtol": 0, "atol": RESIDUAL_TOLERANCE * float(jnp.abs(sim.force).max())}
             np.testing.assert_allclose(one["force"][:steps], sim.force, **tight)
             assert np.isnan(one["force"][steps:]).all()
             assert float(one["simulated_time"]) == pytest.approx(
                 case.settings.periods * float(case.cut.tooth_period(case.tool))
             )
-            assert float(one["chips.most"]) == pytest.approx(float(sim.chip_thickness.max()), rel=1e-9)
+            assert float(one["chips.most"]) == pytest.approx(float(sim.chip_thickness.max()), rel=1e-6)
 
 
 def test_the_reductions_that_come_with_it_against_numpy_and_the_summary(grid):
@@ -71,11 +71,11 @@ def test_the_reductions_that_come_with_it_against_numpy_and_the_summary(grid):
     tail = np.asarray(sim.displacement)[-3 * revolution :]
     for i, axis in enumerate("xy"):
         at = one.sel(axis=axis)
-        assert float(at["mean_force"]) == pytest.approx(summary[f"mean_force.{axis}"]["value"], rel=1e-8)
-        assert float(at["peak_force"]) == pytest.approx(summary[f"peak_force.{axis}"]["value"], rel=1e-8)
-        assert float(at["mean_displacement"]) == pytest.approx(tail[:, i].mean(), rel=1e-7)
-        assert float(at["std_displacement"]) == pytest.approx(tail[:, i].std(), rel=1e-7)
-        assert float(at["peak_displacement"]) == pytest.approx(np.abs(sim.displacement[:, i]).max(), rel=1e-8)
+        assert float(at["mean_force"]) == pytest.approx(summary[f"mean_force.{axis}"]["value"], rel=1e-6)
+        assert float(at["peak_force"]) == pytest.approx(summary[f"peak_force.{axis}"]["value"], rel=1e-6)
+        assert float(at["mean_displacement"]) == pytest.approx(tail[:, i].mean(), rel=1e-6)
+        assert float(at["std_displacement"]) == pytest.approx(tail[:, i].std(), rel=1e-6)
+        assert float(at["peak_displacement"]) == pytest.approx(np.abs(sim.displacement[:, i]).max(), rel=1e-6)
     assert float(one["mean_displacement"].sel(axis="z")) == 0.0
 
 
@@ -102,7 +102,7 @@ def test_samples_have_one_dimension_and_values_may_be_shared():
     # At 12 000 rpm and 0.08 mm per tooth the feed is 0.08e-3 * 4 * 200 m/s.
     sim, case = alone(force_kr=kr["force.kr"].numbers[3], cut_spindle_speed=12000 * RPM, cut_feed_rate=0.064)
     expected = mx.summarize(sim, case)["mean_force.y"]["value"]
-    assert float(result["mean_force"].sel(sample=3, axis="y")) == pytest.approx(expected, rel=1e-8)
+    assert float(result["mean_force"].sel(sample=3, axis="y")) == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_function_may_take_the_case_and_return_any_arrays():
@@ -116,8 +116,8 @@ def test_a_function_may_take_the_case_and_return_any_arrays():
     }
     sim, _ = alone(cut_depth=DEPTHS[1])
     last = result.isel({"cut.depth": 1})
-    np.testing.assert_allclose(last["per_depth.force"], sim.force.mean(axis=0) / 2e-3, rtol=1e-8, atol=1e-6)
-    np.testing.assert_allclose(last["end"], sim.force[-1, :2], rtol=1e-7)
+    np.testing.assert_allclose(last["per_depth.force"], sim.force.mean(axis=0) / 2e-3, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(last["end"], sim.force[-1, :2], rtol=1e-6)
     assert last["end"].dims == ("direction",)
     np.testing.assert_array_equal(last["per_depth.parts.1"], [1.0, 2.0])
 
