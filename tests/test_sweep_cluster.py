@@ -12,7 +12,7 @@ from millax import _cluster, _sweep
 
 distributed = pytest.importorskip("distributed")
 
-CASE = slot(duration=0.012)
+CASE = slot(duration=4.0)  # long enough for a worker to be at work when it is killed
 GRID = {"cut.depth": "0.2:4:8 mm", "force.k0": "4000:6000:4 N/mm^2"}
 KEEP = ["mean_force", "std_displacement"]
 
@@ -34,7 +34,9 @@ def test_a_worker_that_is_killed_half_way_takes_nothing_with_it(client, tmp_path
 
     def progress(p):
         if p.done >= 8 and not killed:
-            busy = next(address for address, tasks in client.processing().items() if tasks)
+            busy = next((address for address, tasks in client.processing().items() if tasks), None)
+            if busy is None:
+                return
             os.kill(workers[busy], signal.SIGKILL)
             killed.append(busy)
 
