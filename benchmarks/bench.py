@@ -22,6 +22,7 @@ SUBJECTS = {
     "single": "One simulation",
     "derivatives": "Derivatives",
     "batch": "Batches",
+    "flags": "With the XLA flags of the command line",
     "light": "A light tool mode",
     "scaling": "Growth of the cost",
     "lobes": "A stability diagram from the time domain",

@@ -26,7 +26,7 @@ from ._linear import contract, linearise, respond
 from ._response import BlockResponse
 from ._types import Scalar
 
-STRETCH = 4096
+STRETCH = 1024
 """Tooth periods between two checkpoints of the reverse derivative."""
 
 TOGETHER = 16

@@ -4,6 +4,7 @@
 """
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -12,10 +13,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def ask(name: str, *numbers: float) -> dict[str, float]:
-    """Run measurement `name` in a fresh process."""
+def ask(name: str, *numbers: float, flags: tuple[str, ...] = ()) -> dict[str, float]:
+    """Run measurement `name` in a fresh process, with further XLA flags."""
     command = [sys.executable, "-m", "benchmarks.speed.child", name, *map(str, numbers)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    environment = os.environ | {"XLA_FLAGS": " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command[1:])} failed:\n{done.stderr}")
     return json.loads(done.stdout.splitlines()[-1])
