@@ -27,7 +27,7 @@ _OWN = {
         "",
         "0 where the simulation can be trusted: " + "; ".join(f"{code} = {words}" for code, words in STATUS.items()),
     ),
-    "residual": ("", "largest change of the force in the last sweep over the largest force"),
+    "residual": ("", "error of the force that the sweeps leave, estimated, over the largest force"),
     "simulated_time": ("s", "length of the simulated cut"),
 }
 

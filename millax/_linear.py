@@ -67,7 +67,7 @@ def respond(
 def contract(by, change) -> Float[Array, "2 m"]:
     """Changes of both forces in each step: partial derivatives times changes, over all inputs."""
     terms = [
-        jnp.sum((b * d).reshape(2, -1, b.shape[-1]), axis=1)
+        jnp.sum((b * d.reshape(*d.shape, *[1] * (b.ndim - 1 - d.ndim))).reshape(2, -1, b.shape[-1]), axis=1)
         for b, d in zip(jax.tree.leaves(by), jax.tree.leaves(change), strict=True)
     ]
     return sum(terms[1:], terms[0]) if terms else jnp.zeros(())
@@ -81,6 +81,7 @@ def _by_inputs(p: Process, wanted_earlier: Earlier, wanted_conditions: Condition
     teeth, m = p.angles.cos.shape
     earlier, fixed_earlier = _repeated(p.earlier, wanted_earlier, (m,))
     conditions, fixed_conditions = _repeated(p.conditions, wanted_conditions, (teeth, m))
+    width = p.conditions.width if conditions.width is None else conditions.width
     everywhere = jnp.broadcast_to(displacement[:, None], (2, teeth, m))
 
     def of_contact(near: bool):
@@ -114,13 +115,15 @@ def _by_inputs(p: Process, wanted_earlier: Earlier, wanted_conditions: Condition
     def of_no_paths(change):
         return jax.tree.map(lambda x: jnp.zeros((2, *x.shape)), (earlier, displacement))
 
-    def least(paths):
-        return thickness(paths, p.conditions.width, p.step_angle)
+    def least(paths, width):
+        return thickness(paths, width, p.step_angle)
 
-    (gap, rate), of_least = jax.vjp(least, found_paths(p, displacement))
+    (gap, rate), of_least = jax.vjp(least, found_paths(p, displacement), width)
     near, far = (lambda near=near: of_contact(near) for near in (True, False))
     by_conditions, by_displacement, by_gap, by_rate = lax.cond(p.near, near, far)
-    (by_paths,) = jax.vmap(of_least)((by_gap, by_rate))
+    by_paths, by_width = jax.vmap(of_least)((by_gap, by_rate))
+    if by_conditions.width is not None:
+        by_conditions = by_conditions._replace(width=by_conditions.width + by_width)
     by_earlier, through_paths = lax.cond(p.touching, of_paths, of_no_paths, by_paths)
     return by_earlier, by_conditions, by_displacement + through_paths
 
@@ -137,7 +140,14 @@ def _repeated(inputs, wanted, shape: tuple[int, ...]):
     """
 
     def repeat(x, want):
-        return None if want is None else jnp.broadcast_to(x, (*x.shape[: -len(shape)], *shape))
+        if want is None:
+            return None
+        # All but the coefficients of a law end with steps (and teeth) already, or with ones in their place.
+        own = x.ndim >= len(shape) and all(
+            have in (1, size) for have, size in zip(x.shape[-len(shape) :], shape, strict=True)
+        )
+        x = x if own else x.reshape(*x.shape, *[1] * len(shape))
+        return jnp.broadcast_to(x, (*x.shape[: -len(shape)], *shape))
 
     def keep(x, want):
         return x if want is None else None

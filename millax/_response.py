@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -31,18 +30,6 @@ class Motion(NamedTuple):
     def of_force(self, force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Float[Array, " columns"]:
         """The motion that starts from rest."""
         return force[0] @ self.by_x + force[1] @ self.by_y
-
-
-@jax.custom_jvp
-def _times(x: Float[Array, " n"], matrix: Float[Array, "n columns"]) -> Float[Array, " columns"]:
-    return x @ matrix
-
-
-@_times.defjvp
-def _times_jvp(primals, tangents):
-    # The change of the matrix as a sum: XLA has no good product of a vector with several matrices at once.
-    (x, matrix), (dx, dmatrix) = primals, tangents
-    return x @ matrix, dx @ matrix + jnp.sum(x[:, None] * dmatrix, axis=0)
 
 
 class BlockResponse(NamedTuple):

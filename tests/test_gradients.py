@@ -160,3 +160,38 @@ def test_every_derivative_is_finite(stock, axes):
                 case = slot(stock=stock, axes=axes, duration=0.0045, steps_per_tooth=20, feed=feed, width=width, start=start)
                 leaves = jax.tree.leaves(everything(eqx.filter(case, eqx.is_inexact_array)))
                 assert all(np.isfinite(leaf).all() for leaf in leaves), (feed, width, start)
+
+
+def test_a_law_of_ones_own_with_an_array_of_coefficients():
+    class Polynomial(mx.ForceLaw):
+        coefficients: jax.Array
+        kr: jax.Array
+
+        def tangential(self, h):
+            return self.coefficients[0] * h + self.coefficients[1] * h**2
+
+        def work(self, low, high):
+            return self.coefficients[0] * (high**2 - low**2) / 2 + self.coefficients[1] * (high**3 - low**3) / 3
+
+    def force(coefficients):
+        return mx.simulate(slot(force=Polynomial(coefficients, jnp.asarray(0.3)), duration=0.006), throw=False).force
+
+    given = jnp.array([8e8, -1e12])
+    step = jnp.array([8e2, 0.0])
+    difference = (force(given + step) - force(given - step)) / (2 * step[0])
+    column = jax.jacfwd(force)(given)[..., 0]
+    assert np.abs(column - difference).max() < 1e-6 * np.abs(difference).max()
+
+
+def test_the_derivative_by_the_width_of_the_gates_in_chatter():
+    # The choice between passes is blended over the width, too.
+    case = slot(mass=1.0, stiffness=3e6, sweeps=20, blocks=4, duration=0.03, stock=ENDLESS)
+    case = eqx.tree_at(lambda c: c.cut.depth, case, jnp.asarray(3e-3))
+
+    def force(factor):
+        width = case.settings.width * factor
+        return mx.simulate(eqx.tree_at(lambda c: c.settings.width, case, width), throw=False).force
+
+    column, step = jax.jacfwd(force)(jnp.asarray(1.0)), 2.5e-7
+    difference = (force(1 + step) - force(1 - step)) / (2 * step)
+    assert np.abs(column - difference).max() < 1e-3 * np.abs(difference).max()
