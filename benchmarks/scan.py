@@ -4,7 +4,6 @@ The same model as the engine, from the engine's own formulas for one step, and t
 displacement within it. What differs is only the order of computation: one step after the other.
 """
 
-import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -26,7 +25,7 @@ def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.
     `evaluations`: how often the force of a step is computed, each time with the displacement it made before.
     """
     tool, cut, s = case.tool, case.cut, case.settings
-    whole_period = dataclasses.replace(case, settings=dataclasses.replace(s, blocks=1))
+    whole_period = case.with_settings(blocks=1)
     n, kept = s.steps_per_tooth, s.passes * s.steps_per_tooth
     dt, seen = time_step(case), jnp.asarray(observed(case))
     (half, half_in), (whole, whole_in) = (map(jnp.asarray, discrete(case, t)) for t in (dt / 2, dt))

@@ -1,6 +1,5 @@
 """Fitting parameters of a case to traces: weighted least squares by Levenberg-Marquardt."""
 
-import dataclasses
 import importlib.metadata
 import platform
 import time
@@ -255,8 +254,7 @@ class _Fit:
 
     def _more_sweeps(self) -> None:
         sweeps = min(self.case.settings.sweeps + 2, MOST_SWEEPS)
-        settings = dataclasses.replace(self.case.settings, sweeps=sweeps)
-        self.case = dataclasses.replace(self.case, settings=settings)
+        self.case = self.case.with_settings(sweeps=sweeps)
         stage = f"compiling with {sweeps} sweeps"
         self.progress(Progress(stage, self.iterations, np.nan, time.perf_counter() - self.begin))
 

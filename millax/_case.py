@@ -1,5 +1,7 @@
 """A case: everything a simulation needs, as one pytree."""
 
+import dataclasses
+
 import equinox as eqx
 
 from ._cut import Cut
@@ -23,3 +25,7 @@ class Case(eqx.Module):
     stock: Stock
     structure: Structure
     settings: Settings
+
+    def with_settings(self, **changes) -> "Case":
+        """The same case with other settings, by their names."""
+        return dataclasses.replace(self, settings=dataclasses.replace(self.settings, **changes))

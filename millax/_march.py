@@ -161,6 +161,7 @@ def _stretch_jvp(primals, tangents, *, sweeps):
             def of_model(model, place):
                 return process(model, place, past, period)
 
+            # The value is computed apart: under a derivative, `anywhere` would decide for every member on its own.
             _, change = eqx.filter_jvp(of_model, (model, place), (by_model, by_place))
             return linearise(of_model(model, place), change, displacement)
 

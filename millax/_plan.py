@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ._case import Case
 from ._gain import cost, gain_kernel, sweeps_needed
 from ._members import SPINDLE_SPEED, Members, member
-from ._settings import MOST_STEPS, block_options, require_resolved
+from ._settings import MOST_STEPS, block_options, fastest_rate, require_resolved
 
 LADDER = 1.1
 """Largest ratio of the lengths of simulation that are in one group from the start."""
@@ -39,8 +39,7 @@ class Group(NamedTuple):
 
     def settle(self, case: Case) -> Case:
         """`case` with these settings."""
-        settings = dataclasses.replace(case.settings, **self._asdict())
-        return eqx.tree_at(lambda c: c.settings, case, settings)
+        return case.with_settings(**self._asdict())
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,13 +59,12 @@ def plan(case: Case, members: Members) -> Plan:
 
     Raises `ValueError` where the time steps cannot resolve the fastest mode of a member, or a trace would be too long.
     """
-    tooth_period, rates, kernel = _features(case, members)
+    tooth_period, kernel, *matrices = _features(case, members)
     steps = case.settings.steps_per_tooth
-    fastest = np.abs(np.linalg.eigvals(rates)).max(axis=-1, initial=0.0)
+    fastest = fastest_rate(*matrices) if matrices else np.zeros(len(members))
     hardest = int(np.argmax(fastest * tooth_period))
-    structure = member(case, members.names, jnp.asarray(members.table[hardest])).structure
     try:
-        require_resolved(structure, float(tooth_period[hardest]), steps)
+        require_resolved(float(fastest[hardest]), float(tooth_period[hardest]), steps)
     except ValueError as error:
         raise ValueError(f"the member with {members.words(hardest)}: {error}") from None
     duration = case.settings.periods * float(case.cut.tooth_period(case.tool))
@@ -96,17 +94,14 @@ def _features(case: Case, members: Members) -> list[np.ndarray]:
 
 @eqx.filter_jit
 def _features_of(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n names"]):
-    """Of every member: tooth period [s], rates of the structure as a matrix [1/s], and its `gain_kernel`."""
+    """Of every member: tooth period [s], `gain_kernel`, and M, C and K, where the tool is not rigid."""
 
     def features(values):
         c = member(case, names, values)
-        structure, steps = c.structure, c.settings.steps_per_tooth
-        n = structure.coordinates
-        rates = jnp.zeros((1, 1))
-        if n:
-            terms = jnp.concatenate([structure.stiffness_matrix, structure.damping_matrix], axis=1)
-            rates = jnp.block([[jnp.zeros((n, n)), jnp.eye(n)], [-jnp.linalg.solve(structure.mass_matrix, terms)]])
-        return c.cut.tooth_period(c.tool), rates, gain_kernel(c.tool, c.force, structure, c.cut, c.settings.width, steps)
+        s = c.structure
+        kernel = gain_kernel(c.tool, c.force, s, c.cut, c.settings.width, c.settings.steps_per_tooth)
+        matrices = (s.mass_matrix, s.damping_matrix, s.stiffness_matrix) if s.coordinates else ()
+        return c.cut.tooth_period(c.tool), kernel, *matrices
 
     return lax.map(features, table, batch_size=32)
 

@@ -17,7 +17,7 @@ from ._case import Case
 from ._gain import RERUNS, tolerance
 from ._members import SPINDLE_SPEED, member
 from ._plan import Group
-from ._reductions import Reduction
+from ._reductions import OWN, Reduction
 from ._simulate import Simulation, simulate, status_of
 
 BATCH = 16
@@ -72,7 +72,7 @@ def compute(
             for name, values in more.items():
                 found[name][again] = values
     failed = found["status"] != 0
-    for name in found.keys() - {"status", "residual", "simulated_time"}:
+    for name in found.keys() - set(OWN):
         found[name][failed] = np.nan
     return found
 

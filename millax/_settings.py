@@ -92,24 +92,26 @@ class Settings(eqx.Module):
             passes=passes,
             width=width,
         )
-        require_resolved(structure, period, steps_per_tooth)
+        matrices = structure.mass_matrix, structure.damping_matrix, structure.stiffness_matrix
+        require_resolved(float(fastest_rate(*matrices)), period, steps_per_tooth)
         if blocks is None or sweeps is None:
             blocks, sweeps = _cheapest(tool, force, structure, cut, settings, blocks, sweeps)
         return Settings(settings.periods, steps_per_tooth, passes, blocks, sweeps, width)
 
 
-def require_resolved(structure: Structure, period: float, steps_per_tooth: int) -> None:
-    """Raises `ValueError` where the steps of a tooth period [s] cannot resolve the fastest mode."""
-    n = structure.coordinates
+def fastest_rate(mass, damping, stiffness) -> np.ndarray:
+    """Largest modulus of the eigenvalues of M q'' + C q' + K q = 0 [1/s], 0 for a rigid tool. Leading axes are a batch."""
+    mass, damping, stiffness = map(np.asarray, (mass, damping, stiffness))
+    n = mass.shape[-1]
     if n == 0:
-        return
-    rates = np.block(
-        [
-            [np.zeros((n, n)), np.eye(n)],
-            [-np.linalg.solve(structure.mass_matrix, np.hstack([structure.stiffness_matrix, structure.damping_matrix]))],
-        ]
-    )
-    fastest = np.abs(np.linalg.eigvals(rates)).max()
+        return np.zeros(mass.shape[:-2])
+    acceleration = -np.linalg.solve(mass, np.concatenate([stiffness, damping], axis=-1))
+    velocity = np.broadcast_to(np.eye(n, 2 * n, n), acceleration.shape)
+    return np.abs(np.linalg.eigvals(np.concatenate([velocity, acceleration], axis=-2))).max(axis=-1)
+
+
+def require_resolved(fastest: float, period: float, steps_per_tooth: int) -> None:
+    """Raises `ValueError` where the steps of a tooth period [s] cannot resolve a mode of this rate [1/s]."""
     needed = math.ceil(STEPS_PER_MODE * fastest * period / (2 * math.pi))
     if steps_per_tooth < needed:
         raise ValueError(

@@ -8,7 +8,6 @@ the force feels the displacement within a block (`Settings.suited` chooses). The
 in every simulation, as its residual.
 """
 
-import dataclasses
 import warnings
 from typing import overload
 
@@ -42,6 +41,12 @@ STATUS = {
     3: "the traces hold numbers that are not finite: the cut is unstable, or a parameter is out of its range",
 }
 """What each `Simulation.status` means and what to try."""
+
+
+SINGLE_PRECISION = (
+    'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else'
+)
+"""The warning of every computation in float32."""
 
 
 class SimulationError(RuntimeError):
@@ -110,22 +115,17 @@ def simulate(*parts, throw: bool = True) -> Simulation:
     if not isinstance(sim.status, Tracer):
         if sim.force.dtype == jnp.float32:
             warnings.warn(
-                'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else',
+                SINGLE_PRECISION,
                 stacklevel=2,
             )
         for _ in range(RERUNS if throw else 0):
             if int(sim.status) == 1:
-                case = _with_more_sweeps(case)
+                case = case.with_settings(sweeps=2 * case.settings.sweeps)
                 sim = _simulate(case)
         status = int(sim.status)
         if throw and status:
             raise SimulationError(f"{STATUS[status]} (residual {float(sim.residual):.1e})")
     return sim
-
-
-def _with_more_sweeps(case: Case) -> Case:
-    settings = dataclasses.replace(case.settings, sweeps=2 * case.settings.sweeps)
-    return Case(case.tool, case.force, case.cut, case.stock, case.structure, settings)
 
 
 @eqx.filter_jit

@@ -22,6 +22,7 @@ from ._members import Members, members_of
 from ._plan import Group, Plan, plan
 from ._program import BATCH, Work, compute, cores, double_precision, program
 from ._reductions import Reduce, abstract, chosen, fingerprints, shapes
+from ._simulate import SINGLE_PRECISION
 from ._sweepfile import Chunk, SweepFile, in_words, require_space
 from ._values import Given
 
@@ -135,7 +136,7 @@ class _Run:
         x64 = double_precision()
         if not x64:
             warnings.warn(
-                'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else',
+                SINGLE_PRECISION,
                 stacklevel=4,
             )
         reductions = chosen(reduce)

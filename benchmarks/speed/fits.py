@@ -1,6 +1,5 @@
 """A fit beside SciPy's `least_squares` with finite differences on the same simulation."""
 
-import dataclasses
 import time
 from pathlib import Path
 
@@ -51,7 +50,7 @@ def _twice(function):
 
 def _scipy(problem, sweeps: int):
     """The same least squares in logarithms of the parameters, from the same guess, with as many sweeps as `fit` needed."""
-    case = dataclasses.replace(problem.case, settings=dataclasses.replace(problem.case.settings, sweeps=sweeps))
+    case = problem.case.with_settings(sweeps=sweeps)
     numbers = free(case, list(problem.parameters))
     (trace,) = problem.traces
     comparison = compare(trace, case, numbers.names)

@@ -1,9 +1,10 @@
 """One run of the benchmarks: how long it may take, and what its picture will show."""
 
-import os
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from millax._program import cores
 
 
 @dataclass
@@ -36,4 +37,4 @@ class Run:
     @property
     def cores(self) -> int:
         """Cores that this process may use."""
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return cores()

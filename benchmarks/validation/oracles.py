@@ -37,7 +37,7 @@ def _cuts():
 
 
 def _converged(case: mx.Case) -> mx.Simulation:
-    return mx.simulate(dataclasses.replace(case, settings=dataclasses.replace(case.settings, sweeps=30)))
+    return mx.simulate(case.with_settings(sweeps=30))
 
 
 def _largest(values, reference) -> float:
