@@ -6,15 +6,10 @@ Every figure is a ratio inside one run, of times taken in turn, since machines a
 missed.
 """
 
-import argparse
 import importlib
 import platform
-import time
-from pathlib import Path
 
 import jax
-import numpy as np
-from rich.console import Console
 
 jax.config.update("jax_enable_x64", True)
 
@@ -50,39 +45,25 @@ said otherwise. A ratio is the median over rounds in which all programs run in t
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"one of {', '.join(SUBJECTS)} (default: all)")
-    parser.add_argument("--long", action="store_true", help="measure in full what is otherwise extrapolated")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="also write a Markdown file, and a picture beside it")
-    options = parser.parse_args()
-    unknown = set(options.subjects) - set(SUBJECTS)
-    if unknown:
-        parser.error(f"unknown subject {', '.join(sorted(unknown))}; choose from {', '.join(SUBJECTS)}")
-
-    from .figures import markdown, show
+    from .figures import chosen, command_line, report
     from .speed.run import Run
 
-    run, console, begin = Run(long=options.long), Console(width=130), time.perf_counter()
-    pages, missed, count = [], [], 0
-    for subject in options.subjects or SUBJECTS:
-        figures = show(console, SUBJECTS[subject], importlib.import_module(f".speed.{subject}", __package__).figures(run))
-        pages.append(markdown(SUBJECTS[subject], figures))
-        missed += [figure for figure in figures if figure.met is False]
-        count += sum(figure.met is not None for figure in figures)
+    parser = command_line(__doc__, SUBJECTS, "also write a Markdown file, and a picture beside it")
+    parser.add_argument("--long", action="store_true", help="measure in full what is otherwise extrapolated")
+    options = parser.parse_args()
+    run = Run(long=options.long)
+
+    def figures_of(subject: str):
+        yield from importlib.import_module(f".speed.{subject}", __package__).figures(run)
         jax.clear_caches()
-    made = (
-        f"{count - len(missed)} of {count} targets met in {time.perf_counter() - begin:.0f} s; {platform.machine()}, "
-        f"{run.cores} cores, Python {platform.python_version()}, JAX {jax.__version__}, NumPy {np.__version__}."
-    )
-    console.print(made)
-    for figure in missed:
-        console.print(f"missed: {figure.what}: {figure.measured}, target {figure.target}", style="bold red")
+
+    met, text = report(chosen(parser, options, SUBJECTS), figures_of, f"{platform.machine()}, {run.cores} cores")
     if options.write:
         from .speed.picture import draw
 
-        options.write.write_text("\n".join([HEAD, made, "", *pages]).rstrip() + "\n", encoding="utf-8")
+        options.write.write_text(f"{HEAD}\n{text}", encoding="utf-8")
         draw(run).savefig(options.write.with_suffix(".png"), dpi=110, metadata={"Software": None})
-    return 1 if missed else 0
+    return 0 if met else 1
 
 
 if __name__ == "__main__":

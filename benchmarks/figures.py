@@ -1,8 +1,14 @@
 """A measured figure beside its target, and the tables of them."""
 
-from collections.abc import Iterable
+import argparse
+import platform
+import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
+import jax
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -51,3 +57,38 @@ def markdown(subject: str, figures: Iterable[Figure]) -> str:
     """The same table for a document."""
     rows = [f"| {f.what} | {f.measured} | {f.target} | {f.verdict} |" for f in figures]
     return "\n".join([f"## {subject}", "", "| figure | measured | target | |", "|---|--:|--:|---|", *rows, ""])
+
+
+def command_line(description: str | None, subjects: Mapping[str, str], written: str) -> argparse.ArgumentParser:
+    """Takes subjects and a file to write to; `written` says what else is written."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"one of {', '.join(subjects)} (default: all)")
+    parser.add_argument("--write", type=Path, metavar="FILE", help=written)
+    return parser
+
+
+def chosen(parser: argparse.ArgumentParser, options: argparse.Namespace, subjects: Mapping[str, str]) -> dict[str, str]:
+    """The subjects asked for, with their titles; ends the program where one is unknown."""
+    unknown = set(options.subjects) - set(subjects)
+    if unknown:
+        parser.error(f"unknown subject {', '.join(sorted(unknown))}; choose from {', '.join(subjects)}")
+    return {subject: subjects[subject] for subject in options.subjects or subjects}
+
+
+def report(subjects: Mapping[str, str], figures_of: Callable[[str], Iterable[Figure]], machine: str) -> tuple[bool, str]:
+    """Measure subjects, print their tables and what was missed; whether all targets are met, and the same as Markdown."""
+    console, begin = Console(width=130), time.perf_counter()
+    pages, missed, count = [], [], 0
+    for subject, title in subjects.items():
+        figures = show(console, title, figures_of(subject))
+        pages.append(markdown(title, figures))
+        missed += [figure for figure in figures if figure.met is False]
+        count += sum(figure.met is not None for figure in figures)
+    made = (
+        f"{count - len(missed)} of {count} targets met in {time.perf_counter() - begin:.0f} s; {machine}, "
+        f"Python {platform.python_version()}, JAX {jax.__version__}, NumPy {np.__version__}."
+    )
+    console.print(made)
+    for figure in missed:
+        console.print(f"missed: {figure.what}: {figure.measured}, target {figure.target}", style="bold red")
+    return not missed, "\n".join([made, "", *pages]).rstrip() + "\n"
