@@ -73,7 +73,7 @@ def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, 
         return lambda displacement, gap, rate: contact(p.conditions, displacement, gap, rate, p.step_angle, near=near)
 
     met = lax.cond(p.near, met_if(True), met_if(False), displacement, gap, rate)
-    return plane_force(p.angles, met, p.conditions.law.kr, p.conditions.depth), met.thickness
+    return plane_force(p.angles, met.tangential, met.turn, p.conditions.law.kr, p.conditions.depth), met.thickness
 
 
 def found_paths(p: Process, displacement: Float[Array, "2 m"]) -> Paths:

@@ -152,10 +152,12 @@ def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, 
     return nearest
 
 
-def plane_force(angles: Angles, contact: Contact, kr: Scalar, depth: Scalar) -> tuple[Array, Array]:
-    """Forces on the tool along x and y, summed over the teeth (E 29) [N], each of shape (m,)."""
-    cos = angles.cos - angles.sin * contact.turn
-    sin = angles.sin + angles.cos * contact.turn
-    tangential = depth * contact.tangential
+def plane_force(
+    angles: Angles, tangential: Float[Array, "teeth m"], turn: Float[Array, "teeth m"], kr: Scalar, depth: Scalar
+) -> tuple[Array, Array]:
+    """Forces on the tool along x and y, summed over the teeth (E 29) [N], each of shape (m,); arguments as in `Contact`."""
+    cos = angles.cos - angles.sin * turn
+    sin = angles.sin + angles.cos * turn
+    tangential = depth * tangential
     radial = kr * tangential
     return jnp.sum(tangential * sin - radial * cos, axis=0), jnp.sum(tangential * cos + radial * sin, axis=0)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from ._block import Conditions, Pair, Process, contact, found_paths, repeat
 from ._chip import Earlier, paths, thickness
-from ._contact import Contact, plane_force
+from ._contact import plane_force
 from ._response import Motion
 
 
@@ -94,7 +94,7 @@ def _by_inputs(p: Process, wanted_earlier: Earlier, wanted_conditions: Condition
         def force(met, conditions):
             law, depth, *_ = eqx.combine(conditions, fixed_conditions)
             tangential, turn = met if near else (*met, jnp.zeros((teeth, m)))
-            return plane_force(p.angles, Contact(tangential, tangential, turn), law.kr, depth)
+            return plane_force(p.angles, tangential, turn, law.kr, depth)
 
         met_there, of_met = jax.vjp(met, conditions, everywhere, gap, rate)
         _, of_force = jax.vjp(force, met_there, conditions)
