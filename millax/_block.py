@@ -8,6 +8,7 @@ displacement -> force, solve the two together. The map is strictly causal, so th
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
@@ -44,24 +45,17 @@ class Process(eqx.Module):
     step_angle: float = eqx.field(static=True)
 
 
-class Guess(NamedTuple):
-    """Forces over a block [N], and what of the displacement they make [m]."""
-
-    force: Pair
-    forced: Float[Array, " 2*m"]
-
-
 class Solution(NamedTuple):
     """What happens over a block."""
 
-    end: Guess
-    """The forces."""
-    displacement: Float[Array, "2 m"]
-    """The tool's displacement that they make [m]."""
+    force: Pair
+    """On the tool [N]."""
     thickness: Float[Array, "teeth m"]
     """Mean chip thickness of each tooth [m]."""
-    changes: tuple[Scalar, Scalar]
-    """Of the forces, in the last sweep but one and in the last: root of the sum of squares over the block [N]."""
+    error: Scalar
+    """Of the forces that the sweeps leave, estimated: root of the sum of squares over the block [N]."""
+    contraction: Scalar
+    """By how much a sweep makes the error smaller, at most [-]."""
 
 
 def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, Float[Array, "teeth m"]]:
@@ -69,45 +63,75 @@ def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, 
     p = process
     gap, rate = thickness(found_paths(p, displacement), p.conditions.width, p.step_angle)
 
-    def met_if(near: bool):
-        return lambda displacement, gap, rate: contact(p.conditions, displacement, gap, rate, p.step_angle, near=near)
-
-    met = lax.cond(p.near, met_if(True), met_if(False), displacement, gap, rate)
+    near, far = (lambda *at, near=near: contact(p, p.conditions, *at, near=near) for near in (True, False))
+    met = lax.cond(p.near, near, far, displacement, gap, rate)
     return plane_force(p.angles, met.tangential, met.turn, p.conditions.law.kr, p.conditions.depth), met.thickness
 
 
 def found_paths(p: Process, displacement: Float[Array, "2 m"]) -> Paths:
     """The paths of the teeth relative to earlier ones; in air, far away from everything."""
-    # Beside the work it saves, the condition makes XLA store the paths, instead of computing them anew in each of the
-    # kernels that use them.
     air = jnp.broadcast_to(-p.earlier.radius, p.angles.cos.shape)
     nothing = tuple((air, jnp.zeros_like(air)) for _ in p.earlier.displacement)
     return lax.cond(p.touching, lambda *at: paths(p.angles, *at), lambda *_: nothing, p.earlier, displacement)
 
 
-def contact(conditions: Conditions, displacement, gap, rate, step_angle: float, *, near: bool) -> Contact:
-    """What the teeth meet, near a border or far from all."""
+def contact(process: Process, conditions: Conditions, displacement, gap, rate, *, near: bool) -> Contact:
+    """What the teeth meet under these conditions, near a border or far from all."""
     law, _, width, borders = conditions
     if near and len(borders.before):
-        return crossing(law, borders, displacement, gap, rate, step_angle, width)
-    return inside(law, gap, rate, step_angle, width)
+        return crossing(law, borders, displacement, gap, rate, process.step_angle, width, process.near)
+    return inside(law, gap, rate, process.step_angle, width)
 
 
-def solve(process: Process, position: Motion, state: Float[Array, " states"], guess: Guess, *, sweeps: int) -> Solution:
-    """Forces and displacements over the block after `sweeps` sweeps from `guess`."""
-    free = position.of_state(state)
+def solve(
+    process: Process,
+    position: Motion,
+    free: Float[Array, "2 m"],
+    guess: Pair,
+    *,
+    contraction: Scalar,
+    allowed: Scalar,
+    sweeps: int,
+) -> Solution:
+    """Forces over the block, by sweeps from `guess` until their error [N] is `allowed`, at most `sweeps`.
 
-    def sweep(last: Guess):
-        force, chip = cutting(process, (free + last.forced).reshape(2, -1))
-        squares = sum(jnp.vdot(new - old, new - old) for new, old in zip(force, last.force, strict=True))
-        return Guess(force, position.of_force(force)), chip, jnp.sqrt(squares)
+    `free` is the displacement without a force [m]. A sweep makes the error smaller by `contraction`, or by what the last
+    two sweeps show.
+    """
 
-    guess = repeat(lambda guess: sweep(guess)[0], guess, sweeps - 2)
-    guess, chip, before = sweep(guess)
-    change = before
-    if sweeps > 1:
-        guess, chip, change = sweep(guess)
-    return Solution(guess, (free + guess.forced).reshape(2, -1), chip, (before, change))
+    def more(found):
+        *_, error, count = found
+        return (count < sweeps) & anywhere(error > allowed)
+
+    def sweep(found):
+        force, _, before, contraction, error, count = found
+        new, chip = cutting(process, free + position.of_force(force).reshape(2, -1))
+        change = norm(difference(new, force))
+        shown = jnp.where(change < before, change / jnp.where(before > 0, before, 1.0), 1.0)
+        contraction = jnp.where(count > 0, shown, contraction)
+        # In a batch, members that are done wait for the others as they are: no result depends on who else is there.
+        going = error > allowed
+        new, chip, change, contraction, error = jax.tree.map(
+            lambda new, old: jnp.where(going, new, old),
+            (new, chip, change, contraction, change * contraction),
+            found[:-1],
+        )
+        return new, chip, change, contraction, error, count + 1
+
+    nothing = jnp.zeros_like(contraction)
+    start = (guess, jnp.zeros_like(process.angles.cos), nothing, contraction, jnp.full_like(nothing, jnp.inf), 0)
+    force, chip, _, contraction, error, _ = lax.while_loop(more, sweep, start)
+    return Solution(force, chip, error, contraction)
+
+
+def difference(a: Pair, b: Pair) -> Pair:
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1]
+
+
+def norm(force: Pair) -> Scalar:
+    """Root of the sum of squares over a block."""
+    return jnp.sqrt(jnp.vdot(force[0], force[0]) + jnp.vdot(force[1], force[1]))
 
 
 def repeat(sweep, start, times: int):
@@ -118,3 +142,14 @@ def repeat(sweep, start, times: int):
     for _ in range(times):
         start = sweep(start)
     return start
+
+
+@jax.custom_batching.custom_vmap
+def anywhere(flag: Bool[Array, ""]) -> Bool[Array, ""]:
+    """The flag itself; in a batch, whether any member has it: all then take the same way, and XLA only that one."""
+    return flag
+
+
+@anywhere.def_vmap
+def _anywhere_in_batch(size, batched, flags):
+    return anywhere(jnp.any(flags)), False  # once more, for batches of batches

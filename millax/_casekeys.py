@@ -211,6 +211,7 @@ SECTIONS: dict[str, Section] = {
             "width": Quantity("m", NOT_NEGATIVE, required=False, parameter=False),
             "blocks": Whole(1, required=False),
             "sweeps": Whole(1, required=False),
+            "tolerance": Quantity("", POSITIVE, required=False, parameter=False),
         }
     ),
 }

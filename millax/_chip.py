@@ -62,16 +62,50 @@ def paths(angles: Angles, earlier: Earlier, displacement: Float[Array, "2 m"]) -
     return tuple(found)
 
 
-def thickness(paths: Paths, width: Scalar, step_angle: float) -> tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]]:
-    """g_k [m] of the pass that leaves the least, negative out of contact, and its rate e . D_k [m/rad] with the tooth angle.
+class Choice(NamedTuple):
+    """Between the pass that leaves least so far and one more."""
 
-    The least on the average of the step: in a step in which a tooth begins or ends to cut, that is another pass than the
-    one with the smallest g_k in its middle. Of a g that changes by 2 a in the step, (g + a)/2 stands for the mean of its
-    positive part while abs(g) < a.
-    """
-    passes = [(gap, rate, jnp.maximum(gap, (gap + jnp.abs(rate) * (step_angle / 2)) / 2)) for gap, rate in paths]
-    least, *others = passes
+    weight: Float[Array, "teeth m"]
+    """1 where that one leaves less, 0 where it does not."""
+    slope: Float[Array, "teeth m"]
+    """Its derivative by the difference of what they leave [1/m]."""
+
+
+def thickness(paths: Paths, width: Scalar, step_angle: float) -> tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]]:
+    """g_k [m] of the pass that leaves the least, negative out of contact, and its rate e . D_k [m/rad] with the tooth angle."""
+    gap, rate, _ = least_so_far(paths, choices(paths, width, step_angle), step_angle)[-1]
+    return gap, rate
+
+
+def choices(paths: Paths, width: Scalar, step_angle: float) -> tuple[Choice, ...]:
+    """Whether the second pass and those after it leave less than all before."""
+    least, *others = passes(paths, step_angle)
+    found = []
     for other in others:
-        weight = preferred(least[2], other[2], width)
-        least = [a + weight * (b - a) for a, b in zip(least, other, strict=True)]
-    return least[0], least[1]
+        found.append(Choice(*preferred(least[2], other[2], width)))
+        least = blended(least, other, found[-1].weight)
+    return tuple(found)
+
+
+def least_so_far(paths: Paths, choices: tuple[Choice, ...], step_angle: float) -> list[tuple[Array, Array, Array]]:
+    """Of the first pass, the first two and so on: g, its rate and what counts, of the one that leaves the least."""
+    least, *others = passes(paths, step_angle)
+    found = [least]
+    for other, choice in zip(others, choices, strict=True):
+        found.append(blended(found[-1], other, choice.weight))
+    return found
+
+
+def passes(paths: Paths, step_angle: float) -> list[tuple[Array, Array, Array]]:
+    """g_k [m], its rate [m/rad], and by what the passes are compared: what is left on the average of the step [m].
+
+    In a step in which a tooth begins or ends to cut, that is another pass than the one with the smallest g_k in its middle.
+    Of a g that changes by 2 a in the step, (g + a)/2 stands for the mean of its positive part while abs(g) < a.
+    """
+    return [(gap, rate, jnp.maximum(gap, (gap + jnp.abs(rate) * (step_angle / 2)) / 2)) for gap, rate in paths]
+
+
+def blended(a, b, weight) -> tuple[Array, Array, Array]:
+    """a where the weight is 0, b where it is 1."""
+    x, y, z = (p + weight * (q - p) for p, q in zip(a, b, strict=True))
+    return x, y, z

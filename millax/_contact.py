@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ._chip import Angles
 from ._forces import ForceLaw, work
-from ._math import half_change, minimum, positive_part
+from ._math import half_change, minimum, positive_part, stored
 from ._stock import Stock
 from ._types import Scalar
 
@@ -96,35 +96,46 @@ def crossing(
     rate: Float[Array, "teeth m"],
     step_angle: float,
     width: Scalar,
+    near: Bool[Array, ""],
 ) -> Contact:
-    """Mean force, thickness and place of contact in each step.
+    """Mean force, thickness and place of contact in each step, where a tooth is near a border.
 
     `gap` [m] is the thickness at the middle of the step, negative out of contact, and `rate` [m/rad] its change with the
     tooth angle.
     """
-    half = half_change(rate, step_angle, width)
-    h = positive_part(gap, half)
-    shift = borders.normals[0] * displacement[0] + borders.normals[1] * displacement[1]
-    start = (borders.before - shift) * borders.steepness + borders.exits * h
-    end = (borders.after - shift) * borders.steepness + borders.exits * h
-    raised = borders.bulge * _raise(start, end, borders.bulge)
-    start, end = _nearest(start + raised, width), _nearest(end + raised, width)
-    # A step during which x hardly changes is widened to `width`: the mean stays defined, and is the value itself.
-    length = jnp.sqrt((end - start) ** 2 + width**2 + 1e-24)
-    middle = (start + end) / 2
-    low, high = middle - length / 2, middle + length / 2
 
-    ramp_low, ramp_high = jnp.clip(low, 0.0, h), jnp.clip(high, 0.0, h)
-    full_low, full_high = jnp.maximum(low, h), jnp.maximum(high, h)
-    full = full_high - full_low
-    area = (ramp_high**2 - ramp_low**2) / 2 + h * full
-    moment = (ramp_high**3 - ramp_low**3) / 3 + h * full * ((full_high + full_low) / 2)
-    centre = jnp.where(area > 0, moment / jnp.where(area > 0, area, 1.0) - middle, 0.0)
-    turn = centre * (end - start) / length**2 * step_angle
-    # The rest of the step, at full thickness, is shorter than the step and lies past its middle by `turn`.
-    plateau = _mean_force(law, gap + rate * turn, half_change(rate * full / length, step_angle, width))
-    force = (work(law, ramp_low, ramp_high) + plateau * full) / length
-    return Contact(force, area / length, turn)
+    def passage(borders, displacement, gap, rate, width):
+        """Chip thickness, and x at the start and the end of the step."""
+        h = positive_part(gap, half_change(rate, step_angle, width))
+        shift = borders.normals[0] * displacement[0] + borders.normals[1] * displacement[1]
+        start = (borders.before - shift) * borders.steepness + borders.exits * h
+        end = (borders.after - shift) * borders.steepness + borders.exits * h
+        raised = borders.bulge * _raise(start, end, borders.bulge)
+        return h, _nearest(start + raised, width), _nearest(end + raised, width)
+
+    def parts(h, start, end, rate, width):
+        """The thickness where x begins to count and where it ceases to; how long h is met in full; mean and place."""
+        # A step during which x hardly changes is widened to `width`: the mean stays defined, and is the value itself.
+        length = jnp.sqrt((end - start) ** 2 + width**2 + 1e-24)
+        middle = (start + end) / 2
+        low, high = middle - length / 2, middle + length / 2
+        ramp_low, ramp_high = jnp.clip(low, 0.0, h), jnp.clip(high, 0.0, h)
+        full_low, full_high = jnp.maximum(low, h), jnp.maximum(high, h)
+        full = full_high - full_low
+        area = (ramp_high**2 - ramp_low**2) / 2 + h * full
+        moment = (ramp_high**3 - ramp_low**3) / 3 + h * full * ((full_high + full_low) / 2)
+        centre = jnp.where(area > 0, moment / jnp.where(area > 0, area, 1.0) - middle, 0.0)
+        turn = centre * (end - start) / length**2 * step_angle
+        return ramp_low, ramp_high, full / length, 1 / length, area / length, turn
+
+    def forces(law, gap, rate, turn, ramp_low, ramp_high, part, per_length, width):
+        # The rest of the step, at full thickness, is shorter than the step and lies past its middle by `turn`.
+        plateau = _mean_force(law, gap + rate * turn, half_change(rate * part, step_angle, width))
+        return work(law, ramp_low, ramp_high) * per_length + plateau * part
+
+    h, start, end = stored(near, passage, borders, displacement, gap, rate, width)
+    ramp_low, ramp_high, part, per_length, mean, turn = stored(near, parts, h, start, end, rate, width)
+    return Contact(forces(law, gap, rate, turn, ramp_low, ramp_high, part, per_length, width), mean, turn)
 
 
 def _raise(start, end, bulge):

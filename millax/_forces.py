@@ -135,7 +135,8 @@ class FractionalLaw(ForceLaw):
         return self.k0 * self.hs * (u + self.r * u**2) / (1 + u)
 
     def work(self, low, high):
-        u, step = low / self.hs, (high - low) / self.hs
+        per_hs = 1 / self.hs
+        u, step = low * per_hs, (high - low) * per_hs
         # log1p of the ratio, not a difference of logarithms: short steps lose no digits.
         area = self.r * step * (u + step / 2) + (1 - self.r) * (step - log1p(step / (1 + u)))
         return self.k0 * self.hs**2 * area

@@ -18,8 +18,8 @@ from ._structure import Structure
 from ._tool import EndMill
 from ._types import Scalar
 
-RESIDUAL_TOLERANCE = 1e-6
-"""Largest residual of a simulation in float64 that counts as converged."""
+TOLERANCE = 1e-6
+"""Error of the force that the sweeps may leave, over the largest force, unless the settings say otherwise."""
 
 RERUNS = 2
 """How often a simulation whose sweeps have not converged is repeated, each time with twice as many."""
@@ -28,12 +28,15 @@ FIRST_ERROR = 4e-3
 """Error of the first guess, the force one tooth period earlier, over the largest force. A few times what is found in slots
 from 1 kg to 100 kg; where it is more, as in strong chatter, the residual says so, and sweeps are added."""
 
+SPARE = 1
+"""Sweeps that the settings allow beyond those expected. A block takes them only where it needs them."""
+
 MOST_SWEEPS = 30
 
 
-def tolerance(dtype) -> float:
-    """Largest residual of a simulation in this precision that counts as converged."""
-    return max(RESIDUAL_TOLERANCE, 32 * float(jnp.finfo(dtype).eps))
+def reachable(tolerance, dtype):
+    """The tolerance, or what this precision can reach."""
+    return jnp.maximum(tolerance, 32 * float(jnp.finfo(dtype).eps))
 
 
 @eqx.filter_jit
@@ -50,21 +53,26 @@ def gain_kernel(tool: EndMill, force: ForceLaw, structure: Structure, cut: Cut, 
 
 
 def sweeps_needed(kernel: Float[np.ndarray, "n steps"], blocks: Int[np.ndarray, " options"]) -> Int[np.ndarray, "n options"]:
-    """Sweeps until the error falls below the tolerance, for n simulations and numbers of blocks per tooth period.
-
-    Two at least: what they change tells how fast the error falls.
-    """
+    """Sweeps until the error falls below `TOLERANCE`, for n simulations and numbers of blocks per tooth period."""
     n, steps = kernel.shape
     spectrum = np.fft.rfft(kernel, 2 * steps, axis=1)
     needed = np.ones((n, len(blocks)), dtype=int)
     power = kernel
     for _ in range(MOST_SWEEPS - 1):
         # The largest row sum over a block is the sum of the first coefficients.
-        needed += FIRST_ERROR * np.cumsum(power, axis=1)[:, steps // blocks - 1] > RESIDUAL_TOLERANCE
+        needed += FIRST_ERROR * np.cumsum(power, axis=1)[:, steps // blocks - 1] > TOLERANCE
         power = np.maximum(np.fft.irfft(spectrum * np.fft.rfft(power, 2 * steps, axis=1), axis=1)[:, :steps], 0.0)
-    return np.maximum(needed, 2)
+    return needed
 
 
 def cost(blocks, sweeps):
     """Seconds per tooth period of 40 steps, measured: what is the same in all blocks, and what grows with their length."""
     return 1e-6 * (blocks * (1.0 + 0.55 * sweeps) + 0.8 + 1.85 * sweeps)
+
+
+def cost_in_batch(steps_per_tooth, blocks, sweeps):
+    """The same for a member of a batch, measured. A block goes through the processor in vectors of eight steps, and its
+    response is a matrix of the member's own, which is as large as the square of its steps."""
+    steps = steps_per_tooth / blocks
+    filled = np.ceil(steps / 8) * 8
+    return 1e-9 * blocks * (60 + filled * (17 + 22 * sweeps) + steps**2 * (1 + 0.3 * sweeps))

@@ -1,8 +1,9 @@
 """One block of time steps, linearised: how force and displacement change together.
 
 At the solution f = F(u, past, p), and u = u(f, p). So df = F_p dp + F_past dpast + F_u (du + G df), with du the change of
-the displacement at a fixed force and G the response within the block. Steps do not feel each other in F, so reverse passes
-for the force along x and along y give all its partial derivatives, step by step; the rest is multiplications with these.
+the displacement at a fixed force and G the response within the block. Steps do not feel each other in F, so F has one
+derivative for each step and input. The chain rule is spelt out, from the forces back to the paths of the teeth, and the
+links are stored; what a tooth meets is differentiated automatically.
 """
 
 from typing import NamedTuple
@@ -11,11 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ._block import Conditions, Pair, Process, contact, found_paths, repeat
-from ._chip import Earlier, paths, thickness
+from ._chip import Choice, Earlier, Paths, choices, least_so_far, passes
 from ._contact import plane_force
+from ._math import stored
 from ._response import Motion
 
 
@@ -28,6 +30,8 @@ class Partials(NamedTuple):
     """By the velocity in the earlier passes [N s/m]."""
     displacement: Float[Array, "2 2 m"]
     """By the present displacement [N/m]."""
+    touching: Bool[Array, ""]
+    """See `Process`: where it is false, all derivatives are zero."""
 
 
 def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) -> tuple[Partials, Float[Array, "2 m"]]:
@@ -36,32 +40,47 @@ def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) 
     `tangents` holds the changes of the process, None for an input that does not change. Those of the earlier motions do not
     count here: their derivatives are returned instead.
     """
+    width = p.conditions.width
+    found = found_paths(p, displacement)
+    chosen = stored(p.touching, lambda found: choices(found, width, p.step_angle), found)
+    gap, rate, _ = least_so_far(found, chosen, p.step_angle)[-1]
+    near, far = (
+        lambda gap, rate, near=near: _by_contact(p, tangents.conditions, displacement, gap, rate, near=near)
+        for near in (True, False)
+    )
+    by_conditions, by_displacement, by_gap, by_rate = lax.cond(p.near, near, far, gap, rate)
+    by_paths, by_width = stored(
+        p.touching,
+        lambda found, chosen, by_gap, by_rate: _by_paths(found, chosen, by_gap, by_rate, width, p.step_angle),
+        found,
+        chosen,
+        by_gap,
+        by_rate,
+    )
+    by_earlier, through_paths = stored(p.touching, lambda *at: _by_earlier(p, *at), found, by_paths)
+
+    if by_conditions.width is not None:
+        by_conditions = by_conditions._replace(width=by_conditions.width + by_width)
     others = tangents.earlier._replace(displacement=None, velocity=None)
-    wanted = others._replace(displacement=p.earlier.displacement, velocity=p.earlier.velocity)
-    by_earlier, by_conditions, by_displacement = _by_inputs(p, wanted, tangents.conditions, displacement)
-    by_others = by_earlier._replace(displacement=None, velocity=None)
+    by_others = by_earlier._replace(**{name: None for name, change in others._asdict().items() if change is None})
     direct = contract((by_others, by_conditions), (others, tangents.conditions))
-    return Partials(by_earlier.displacement, by_earlier.velocity, by_displacement), direct
+    return Partials(by_earlier.displacement, by_earlier.velocity, by_displacement + through_paths, p.touching), direct
 
 
 def respond(
-    by: Float[Array, "2 2 m"], direct: Float[Array, "2 m"], displaced: Float[Array, " 2*m"], position: Motion, sweeps: int
-) -> tuple[Float[Array, "2 m"], Pair]:
-    """Changes of displacement [m] and force [N] over a block that agree with each other.
+    by: Float[Array, "2 2 m"], direct: Float[Array, "2 m"], free: Float[Array, "2 m"], position: Motion, sweeps: int
+) -> Pair:
+    """Changes of the forces over a block that agree with the displacement they make [N].
 
     `by` are the derivatives of the forces by the present displacement, `direct` is the change of the forces at a fixed
-    displacement, `displaced` that of the displacement at a fixed force.
+    displacement, `free` that of the displacement at a fixed force.
     """
 
     def force(displacement) -> Pair:
         x, y = (direct[i] + by[i, 0] * displacement[0] + by[i, 1] * displacement[1] for i in (0, 1))
         return x, y
 
-    def displacement(force: Pair):
-        return (displaced + position.of_force(force)).reshape(2, -1)
-
-    change = repeat(lambda change: force(displacement(change)), force(displaced.reshape(2, -1)), sweeps)
-    return displacement(change), change
+    return repeat(lambda change: force(free + position.of_force(change).reshape(2, -1)), force(free), sweeps)
 
 
 def contract(by, change) -> Float[Array, "2 m"]:
@@ -73,59 +92,104 @@ def contract(by, change) -> Float[Array, "2 m"]:
     return sum(terms[1:], terms[0]) if terms else jnp.zeros(())
 
 
-def _by_inputs(p: Process, wanted_earlier: Earlier, wanted_conditions: Conditions, displacement):
-    """For the forces along x and y (first axis): derivatives by the earlier passes, the conditions, the displacement.
-
-    The chain rule is spelt out. What goes through a condition is stored once, and differentiated without its other branch.
-    """
+def _by_contact(p: Process, wanted: Conditions, displacement, gap, rate, *, near: bool):
+    """Derivatives of both forces (first axis) by the wanted conditions, and by displacement, g and its rate."""
     teeth, m = p.angles.cos.shape
-    earlier, fixed_earlier = _repeated(p.earlier, wanted_earlier, (m,))
-    conditions, fixed_conditions = _repeated(p.conditions, wanted_conditions, (teeth, m))
-    width = p.conditions.width if conditions.width is None else conditions.width
+    conditions, fixed = _repeated(p.conditions, wanted, (teeth, m))
     everywhere = jnp.broadcast_to(displacement[:, None], (2, teeth, m))
 
-    def of_contact(near: bool):
-        """By conditions, displacement, gap and rate."""
+    def met(conditions, displacement, gap, rate):
+        found = contact(p, eqx.combine(conditions, fixed), displacement, gap, rate, near=near)
+        return (found.tangential, found.turn) if near else (found.tangential,)
 
-        def met(conditions, displacement, gap, rate):
-            found = contact(eqx.combine(conditions, fixed_conditions), displacement, gap, rate, p.step_angle, near=near)
-            return (found.tangential, found.turn) if near else (found.tangential,)
+    def force(met, conditions):
+        law, depth, *_ = eqx.combine(conditions, fixed)
+        tangential, turn = met if near else (*met, jnp.zeros((teeth, m)))
+        return plane_force(p.angles, tangential, turn, law.kr, depth)
 
-        def force(met, conditions):
-            law, depth, *_ = eqx.combine(conditions, fixed_conditions)
-            tangential, turn = met if near else (*met, jnp.zeros((teeth, m)))
-            return plane_force(p.angles, tangential, turn, law.kr, depth)
-
-        met_there, of_met = jax.vjp(met, conditions, everywhere, gap, rate)
-        _, of_force = jax.vjp(force, met_there, conditions)
+    def of_met(*inputs):
+        met_there, back = jax.vjp(met, *inputs)
         # One by one and not by vmap: with known ones and zeros, XLA leaves out most of the work.
-        by = [of_met(unit) for unit in _units(len(met_there), (teeth, m))]
-        found = []
-        for unit in _units(2, (m,)):
-            by_met, by_conditions = of_force(unit)
-            through, *others = jax.tree.map(lambda *d, by_met=by_met: sum(map(jnp.multiply, by_met, d)), *by)
-            found.append((jax.tree.map(jnp.add, through, by_conditions), *others))
-        by_conditions, by_displacement, *by_path = jax.tree.map(lambda x, y: jnp.stack([x, y]), *found)
-        return by_conditions, jnp.sum(by_displacement, axis=2), *by_path
+        return met_there, [back(unit) for unit in _units(len(met_there), (teeth, m))]
 
-    def of_paths(change):
-        _, back = jax.vjp(lambda e, u: paths(p.angles, eqx.combine(e, fixed_earlier), u), earlier, displacement)
-        return jax.vmap(back)(change)
+    met_there, by = stored(p.touching, of_met, conditions, everywhere, gap, rate)
+    _, back = jax.vjp(force, met_there, conditions)
+    found = []
+    for unit in _units(2, (m,)):
+        by_met, by_conditions = back(unit)
+        through, *others = jax.tree.map(lambda *d, by_met=by_met: sum(map(jnp.multiply, by_met, d)), *by)
+        found.append((jax.tree.map(jnp.add, through, by_conditions), *others))
+    by_conditions, by_displacement, by_gap, by_rate = jax.tree.map(lambda x, y: jnp.stack([x, y]), *found)
 
-    def of_no_paths(change):
-        return jax.tree.map(lambda x: jnp.zeros((2, *x.shape)), (earlier, displacement))
+    def summed(by, change):
+        return jnp.sum(by, axis=-2) if change.ndim < 2 else by  # all teeth share a number
 
-    def least(paths, width):
-        return thickness(paths, width, p.step_angle)
+    return jax.tree.map(summed, by_conditions, wanted), jnp.sum(by_displacement, axis=2), by_gap, by_rate
 
-    (gap, rate), of_least = jax.vjp(least, found_paths(p, displacement), width)
-    near, far = (lambda near=near: of_contact(near) for near in (True, False))
-    by_conditions, by_displacement, by_gap, by_rate = lax.cond(p.near, near, far)
-    by_paths, by_width = jax.vmap(of_least)((by_gap, by_rate))
-    if by_conditions.width is not None:
-        by_conditions = by_conditions._replace(width=by_conditions.width + by_width)
-    by_earlier, through_paths = lax.cond(p.touching, of_paths, of_no_paths, by_paths)
-    return by_earlier, by_conditions, by_displacement + through_paths
+
+def _by_paths(
+    paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "2 teeth m"], by_rate, width, step_angle: float
+):
+    """From derivatives by what the chosen pass leaves: those by the paths of all passes, and by the width.
+
+    `_chip.thickness` in reverse.
+    """
+    first, *others = passes(paths, step_angle)
+    stages = least_so_far(paths, chosen, step_angle)[:-1]
+    by, by_width, found = (by_gap, by_rate, jnp.zeros_like(by_gap)), jnp.zeros_like(by_gap), []
+    for least, other, choice in reversed(list(zip(stages, others, chosen, strict=True))):
+        by_difference = choice.slope * sum(b * (y - x) for b, x, y in zip(by, least, other, strict=True))
+        by_width = by_width - by_difference * (least[2] - other[2]) / (width + 1e-15)
+        found.append([b * choice.weight for b in by])
+        found[-1][2] = found[-1][2] - by_difference
+        by = [b * (1 - choice.weight) for b in by]
+        by[2] = by[2] + by_difference
+    found.append(by)
+
+    def by_path(path, by):
+        (gap, rate), half = path, step_angle / 2
+        whole = gap > jnp.abs(rate) * half
+        by_gap = by[0] + by[2] * jnp.where(whole, 1.0, 0.5)
+        return by_gap, by[1] + by[2] * jnp.where(whole, 0.0, jnp.sign(rate) * half / 2)
+
+    return tuple(map(by_path, paths, reversed(found))), jnp.sum(by_width, axis=1)
+
+
+def _by_earlier(p: Process, found: Paths, by_paths):
+    """From derivatives by the paths: those by what they follow from, summed over the teeth. `_chip.paths` in reverse."""
+    earlier, (cos, sin) = p.earlier, p.angles
+    curvature, slowness = 1 / (2 * earlier.radius), 1 / earlier.tip_speed
+    by_displacement, by_velocity = [], []
+    by_feed = by_feed_rate = by_tip_speed = by_radius = jnp.zeros(())
+    for k, ((_, across), (by_gap, by_across)) in enumerate(zip(found, by_paths, strict=True)):
+        vx, vy = (earlier.velocity[k, 0] + earlier.feed_rate) * slowness, earlier.velocity[k, 1] * slowness
+        by_gap = jnp.where(jnp.abs(across) < earlier.radius, by_gap, 0.0)
+        by_across = by_across + by_gap * (2 * across * curvature - (cos * vx - sin * vy))
+        turning = by_gap * across
+        by_dx, by_dy, by_vx, by_vy = (
+            jnp.sum(by, axis=1)
+            for by in (
+                by_gap * cos - by_across * sin,
+                -by_gap * sin - by_across * cos,
+                -turning * cos,
+                turning * sin,
+            )
+        )
+        by_displacement.append(jnp.stack([by_dx, by_dy], axis=1))
+        by_velocity.append(jnp.stack([by_vx, by_vy], axis=1) * slowness)
+        by_feed = by_feed + (k + 1) * by_dx
+        by_feed_rate = by_feed_rate + by_vx * slowness
+        by_tip_speed = by_tip_speed - (by_vx * vx + by_vy * vy) * slowness
+        by_radius = by_radius - jnp.sum(turning * across, axis=1) * (curvature / earlier.radius)
+    by_earlier = Earlier(
+        -jnp.stack(by_displacement, axis=1),
+        jnp.stack(by_velocity, axis=1),
+        by_feed,
+        by_feed_rate,
+        by_tip_speed,
+        by_radius,
+    )
+    return by_earlier, sum(by_displacement)
 
 
 def _units(n: int, shape: tuple[int, ...]):

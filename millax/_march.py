@@ -18,11 +18,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._block import Conditions, Guess, Pair, Process, solve
+from ._block import Conditions, Pair, Process, anywhere, difference, norm, solve
 from ._chip import Angles, Earlier
 from ._contact import Borders
 from ._forces import ForceLaw
 from ._linear import contract, linearise, respond
+from ._math import stored
 from ._response import BlockResponse
 from ._types import Scalar
 
@@ -56,6 +57,10 @@ class Model(NamedTuple):
     radius: Scalar
     place: Place
     response: BlockResponse
+    contraction: Scalar
+    """By how much a sweep makes the error in a block smaller, expected [-]."""
+    tolerance: Scalar
+    """Error of the force in a block that may be left, over the largest force [-]."""
     step_angle: float
 
 
@@ -71,7 +76,16 @@ class Carry(NamedTuple):
 
     state: Float[Array, " states"]
     past: Past
-    guess: Guess
+    last: Pair
+    """Forces in the last period [N]."""
+    before: Pair
+    """And in the one before [N]."""
+    trend: Scalar
+    """How much of the change from one period to the next comes again in the next one [-]."""
+    largest: Scalar
+    """Largest force so far, root mean square over a block [N]."""
+    contraction: Scalar
+    """See `Solution`: the largest so far."""
 
 
 class Traces(NamedTuple):
@@ -82,14 +96,18 @@ class Traces(NamedTuple):
     motion: Past
     thickness: Float[Array, "periods blocks teeth m"]
     """Without derivatives."""
-    changes: tuple[Float[Array, "periods blocks"], Float[Array, "periods blocks"]]
+    error: Float[Array, "periods blocks"]
     """See `Solution`. Without derivatives."""
 
 
-def at_rest(blocks: int, passes: int, m: int, states: int) -> Carry:
+def at_rest(model: Model, passes: int) -> Carry:
     """The tool before the first period."""
+    blocks, _, m = model.place.angles.cos.shape
     still, nothing = jnp.zeros((blocks, passes, 2, m)), jnp.zeros((blocks, m))
-    return Carry(jnp.zeros(states), Past(still, still), Guess((nothing, nothing), jnp.zeros((blocks, 2 * m))))
+    none = (nothing, nothing)
+    zero = jnp.zeros_like(model.contraction)
+    state = jnp.zeros(len(model.response.motion.free))
+    return Carry(state, Past(still, still), none, none, zero, zero, model.contraction)
 
 
 def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> Traces:
@@ -117,24 +135,44 @@ def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
 @eqx.filter_custom_jvp
 def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, sweeps: int) -> tuple[Carry, Traces]:
     """Tooth periods with these numbers, from what the one before left."""
-    position, velocity, end = model.response.position, model.response.velocity, model.response.end
+    response = model.response
 
     def block(carry, inputs):
-        state, period = carry
-        place, past, guess = inputs
-        solution = solve(process(model, place, past, period), position, state, guess, sweeps=sweeps)
-        force = solution.end.force
-        motion = Past(solution.displacement, velocity(state, force).reshape(2, -1))
-        return (end(state, force), period), (
-            solution.end,
-            Traces(state, force, motion, solution.thickness, solution.changes),
+        state, trend, largest, contraction, period = carry
+        place, past, last, before = inputs
+        newest = difference(last, before)
+        free = response.motion.of_state(state)
+        solution = solve(
+            process(model, place, past, period),
+            response.position,
+            response.parted(free)[0],
+            (last[0] + trend * newest[0], last[1] + trend * newest[1]),
+            contraction=contraction,
+            allowed=model.tolerance * largest,
+            sweeps=sweeps,
         )
+        force = solution.force
+        displacement, velocity, end = response.parted(free + response.motion.of_force(force))
+        trend = _trend(difference(force, last), newest)
+        largest = jnp.maximum(largest, norm(force) / len(force[0]) ** 0.5)
+        contraction = jnp.maximum(contraction, solution.contraction)
+        traces = Traces(state, force, Past(displacement, velocity), solution.thickness, solution.error)
+        return (end, trend, largest, contraction, period), (force, traces)
 
     def tooth_period(carry, period):
-        (state, _), (guess, traces) = lax.scan(block, (carry.state, period), (model.place, carry.past, carry.guess))
-        return Carry(state, _shifted(carry.past, traces.motion), guess), traces
+        inputs = (model.place, carry.past, carry.last, carry.before)
+        start = (carry.state, carry.trend, carry.largest, carry.contraction, period)
+        (state, *adapted, _), (force, traces) = lax.scan(block, start, inputs)
+        return Carry(state, _shifted(carry.past, traces.motion), force, carry.last, *adapted), traces
 
     return lax.scan(tooth_period, start, number)
+
+
+def _trend(change: Pair, newest: Pair) -> Scalar:
+    """How much of the newest change between periods came again: least squares over a block."""
+    again = sum(jnp.vdot(c, n) for c, n in zip(change, newest, strict=True))
+    size = sum(jnp.vdot(n, n) for n in newest)
+    return jnp.clip(again / jnp.where(size > 0, size, 1.0), -1.0, 1.0)
 
 
 @stretch.def_jvp
@@ -144,13 +182,11 @@ def _stretch_jvp(primals, tangents, *, sweeps):
     by_model, by_start, _ = tangents
     response, states, forces = model.response, traces.state, traces.force
 
-    def motions(response):
+    def motions(motion):
         """Of all blocks, from known states and forces."""
-        return tuple(
-            jax.vmap(jax.vmap(part))(states, forces) for part in (response.position, response.velocity, response.end)
-        )
+        return jax.vmap(jax.vmap(motion))(states, forces)
 
-    value, extra = eqx.filter_jvp(motions, (response,), (by_model.response,))
+    value, extra = eqx.filter_jvp(motions, (response.motion,), (by_model.response.motion,))
     extra = _or_zero(value, extra)
 
     def linearised(inputs):
@@ -171,13 +207,13 @@ def _stretch_jvp(primals, tangents, *, sweeps):
     by, direct = map_periods(linearised, (number, pasts, traces.motion.displacement))
 
     def block(change, inputs):
-        by, direct, past, (position, velocity, end) = inputs
-        direct = direct + contract(by[:2], tuple(past))
-        displaced = position + response.position.of_state(change)
-        displacement, force = respond(by.displacement, direct, displaced, response.position, sweeps)
-        velocity = velocity + response.velocity(change, force)
-        motion = Past(displacement, velocity.reshape(2, -1))
-        return end + response.end(change, force), (change, force, motion)
+        by, direct, past, extra = inputs
+        direct = direct + stored(by.touching, contract, by[:2], tuple(past))
+        free = extra + response.motion.of_state(change)
+        force = respond(by.displacement, direct, response.parted(free)[0], response.position, sweeps)
+        displacement, velocity, end = response.parted(free + response.motion.of_force(force))
+        motion = Past(displacement, velocity)
+        return end, (change, force, motion)
 
     def tooth_period(carry, inputs):
         state, past = carry
@@ -187,8 +223,8 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
     zero = _or_zero((start.state, start.past), (by_start.state, by_start.past))
     (state, past), (states, forces, motion) = lax.scan(tooth_period, zero, (by, direct, extra))
-    nothing = jax.tree.map(jnp.zeros_like, (end.guess, traces.thickness, traces.changes))
-    return (end, traces), (Carry(state, past, nothing[0]), Traces(states, forces, motion, *nothing[1:]))
+    nothing = jax.tree.map(jnp.zeros_like, (end[2:], traces.thickness, traces.error))
+    return (end, traces), (Carry(state, past, *nothing[0]), Traces(states, forces, motion, *nothing[1:]))
 
 
 def map_periods(function, inputs):
@@ -239,16 +275,5 @@ def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[
     behind = (place.nearest[0] - gone < reach) & (change > feed / 20)
     touching = jnp.all(place.farthest - gone > -reach)
     # How far a tool that has not moved yet will give way is not known. A rigid one never does.
-    unknown = moved == 0 if len(model.response.end.free) else False
+    unknown = moved == 0 if len(model.response.motion.free) else False
     return anywhere(touching | unknown), anywhere(jnp.any(ahead | behind) | unknown)
-
-
-@jax.custom_batching.custom_vmap
-def anywhere(flag: Bool[Array, ""]) -> Bool[Array, ""]:
-    """The flag itself; in a batch, whether any member has it: all then take the same way, and XLA only that one."""
-    return flag
-
-
-@anywhere.def_vmap
-def _anywhere_in_batch(size, batched, flags):
-    return anywhere(jnp.any(flags)), False  # once more, for batches of batches

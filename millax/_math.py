@@ -13,7 +13,7 @@ import math
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 _TINY = 1e-30
 
@@ -34,10 +34,27 @@ def half_change(rate: Float[Array, "..."], step: float, width: Float[Array, "...
     return jnp.sqrt(width**2 + (rate * step / 2) ** 2 + _TINY)
 
 
-def preferred(a: Float[Array, "..."], b: Float[Array, "..."], width: Float[Array, "..."]) -> Float[Array, "..."]:
-    """1 where a > b and b is to be taken as the smaller, 0 where a < b; smooth where they differ by less than w/4."""
-    t = jnp.clip(2 * (a - b) / (width + 1e-15) + 0.5, 0.0, 1.0)
-    return t * t * (3 - 2 * t)
+def preferred(
+    a: Float[Array, "..."], b: Float[Array, "..."], width: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """1 where a > b and b is to be taken as the smaller, 0 where a < b; smooth where they differ by less than w/4. And its
+    derivative by a."""
+    scale = 2 / (width + 1e-15)
+    t = jnp.clip((a - b) * scale + 0.5, 0.0, 1.0)
+    return t * t * (3 - 2 * t), 6 * t * (1 - t) * scale
+
+
+def stored(condition: Bool[Array, ""], function, *inputs):
+    """What `function` makes of the inputs where the condition holds; zeros where it does not.
+
+    What comes out of a condition is stored. Elsewhere XLA on a processor computes a value anew in each of the kernels that
+    use it, and in long chains, above all in derivatives, most of the time goes there.
+    """
+
+    def nothing(*_):
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(function, *inputs))
+
+    return lax.cond(condition, function, nothing, *inputs)
 
 
 _LAYOUT = {jnp.dtype("float64"): (jnp.int64, 52), jnp.dtype("float32"): (jnp.int32, 23)}

@@ -5,7 +5,9 @@ beyond its own duration is forgotten, so that its result does not depend on whic
 """
 
 import dataclasses
+import functools
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +18,7 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from ._case import Case
-from ._gain import cost, gain_kernel, sweeps_needed
+from ._gain import SPARE, cost_in_batch, gain_kernel, sweeps_needed
 from ._members import SPINDLE_SPEED, Members, member
 from ._settings import MOST_STEPS, block_options, fastest_rate, require_resolved
 
@@ -82,7 +84,7 @@ def plan(case: Case, members: Members) -> Plan:
         blocks, needed = np.ones(1, int), np.ones((len(members), 1), int)
     else:
         needed = sweeps_needed(kernel, blocks)
-    return Plan(periods, _grouped(periods, blocks, needed))
+    return Plan(periods, _grouped(periods, blocks, needed, functools.partial(cost_in_batch, steps, blocks)))
 
 
 def _features(case: Case, members: Members) -> list[np.ndarray]:
@@ -115,24 +117,27 @@ class _Part(NamedTuple):
 
 
 def _grouped(
-    periods: Int[np.ndarray, " members"], blocks: Int[np.ndarray, " options"], needed: Int[np.ndarray, "members options"]
+    periods: Int[np.ndarray, " members"],
+    blocks: Int[np.ndarray, " options"],
+    needed: Int[np.ndarray, "members options"],
+    cost: Callable,
 ) -> dict[Group, Int[np.ndarray, " n"]]:
     """As many programs as pay for their compilation. Every member gets at least the periods and the sweeps it needs."""
     rung = np.ceil(np.log(periods) / math.log(LADDER)).astype(int)
-    kinds, kind = np.unique(np.stack([rung, np.argmin(cost(blocks, needed), axis=1)], axis=1), axis=0, return_inverse=True)
+    kinds, kind = np.unique(np.stack([rung, np.argmin(cost(needed), axis=1)], axis=1), axis=0, return_inverse=True)
     parts = dict(enumerate(_part(np.flatnonzero(kind.ravel() == k), periods, needed) for k in range(len(kinds))))
-    savings = {(i, j): _saving(parts[i], parts[j], blocks) for i in parts for j in range(i)}
+    savings = {(i, j): _saving(parts[i], parts[j], cost) for i in parts for j in range(i)}
     while savings and max(savings.values()) > 0:
         i, j = max(savings, key=savings.__getitem__)
         merged = _merged(parts.pop(i), parts.pop(j))
         savings = {pair: s for pair, s in savings.items() if not {i, j} & set(pair)}
         new = max(i, *parts, 0) + 1
-        savings |= {(new, k): _saving(merged, part, blocks) for k, part in parts.items()}
+        savings |= {(new, k): _saving(merged, part, cost) for k, part in parts.items()}
         parts[new] = merged
     groups: dict[Group, Int[np.ndarray, " n"]] = {}
     for part in parts.values():
-        best = int(np.argmin(cost(blocks, part.needed)))
-        group = Group(part.periods, int(blocks[best]), int(part.needed[best]))
+        best = int(np.argmin(cost(part.needed)))
+        group = Group(part.periods, int(blocks[best]), int(part.needed[best]) + SPARE)
         groups[group] = np.sort(np.concatenate([groups[group], part.which]) if group in groups else part.which)
     return groups
 
@@ -145,10 +150,10 @@ def _merged(a: _Part, b: _Part) -> _Part:
     return _Part(np.concatenate([a.which, b.which]), max(a.periods, b.periods), np.maximum(a.needed, b.needed))
 
 
-def _saving(a: _Part, b: _Part, blocks) -> float:
+def _saving(a: _Part, b: _Part, cost: Callable) -> float:
     """Seconds saved by one program for both."""
 
     def seconds(part: _Part) -> float:
-        return len(part.which) * part.periods * float(cost(blocks, part.needed).min())
+        return len(part.which) * part.periods * float(cost(part.needed).min())
 
     return COMPILING + seconds(a) + seconds(b) - seconds(_merged(a, b))

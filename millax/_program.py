@@ -14,7 +14,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Int
 
 from ._case import Case
-from ._gain import RERUNS, tolerance
+from ._gain import RERUNS, reachable
 from ._members import SPINDLE_SPEED, member
 from ._plan import Group
 from ._reductions import OWN, Reduction
@@ -65,7 +65,8 @@ def compute(
     with precision(work):
         found = _run(work, group, table, periods, devices)
         for rerun in range(1, RERUNS + 1):
-            again = np.flatnonzero(~(found["residual"] <= tolerance(_float(work))))
+            allowed = float(reachable(work.case.settings.tolerance, _float(work)))
+            again = np.flatnonzero(~(found["residual"] <= allowed))
             if again.size == 0:
                 break
             more = _run(work, group._replace(sweeps=group.sweeps * 2**rerun), table[again], periods[again], devices)
@@ -143,7 +144,7 @@ def _ended(sim: Simulation, case: Case, periods: Int[Array, ""]) -> Simulation:
     inside = jnp.arange(sim.time.size) < periods * case.settings.steps_per_tooth
     displacement = jnp.where(inside[:, None], sim.displacement, 0.0)
     force = jnp.where(inside[:, None], sim.force, 0.0)
-    status = status_of(force, displacement, sim.residual, case.tool.radius)
+    status = status_of(force, displacement, sim.residual, case.tool.radius, case.settings.tolerance)
 
     def until_the_end(trace):
         return jnp.where(inside.reshape(-1, *[1] * (trace.ndim - 1)), trace, jnp.nan)

@@ -41,12 +41,16 @@ class BlockResponse(NamedTuple):
 
     position: Motion
     """In the plane, (x, y) by steps [m]."""
-    velocity: Motion
-    """In the plane, (x, y) by steps [m/s]."""
+    motion: Motion
+    """Position and velocity [m/s] in the plane, and the state after the block: see `parted`."""
     axes: Motion
     """Position along the axes of the structure, axes by steps [m]."""
-    end: Motion
-    """The state after the block."""
+
+    def parted(self, columns: Float[Array, " columns"]) -> tuple[Array, Array, Array]:
+        """The columns of `motion`: position and velocity, each of shape (2, m), and the state after the block."""
+        plane = self.position.free.shape[1]
+        position, velocity, end, _ = jnp.split(columns, [plane, 2 * plane, 2 * plane + len(self.motion.free)])
+        return position.reshape(2, -1), velocity.reshape(2, -1), end
 
 
 def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockResponse:
@@ -72,12 +76,20 @@ def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockRespons
         return Motion(free, by[0], by[1])
 
     still = jnp.zeros((2, n))
+    position = observed(jnp.concatenate([structure.in_plane_shapes, still], axis=1))
+    velocity = observed(jnp.concatenate([still, structure.in_plane_shapes / dt], axis=1))
+    end = Motion(powers[steps].T, *jnp.einsum("lst,tb->bls", powers[:steps][::-1], step_input))
     return BlockResponse(
-        position=observed(jnp.concatenate([structure.in_plane_shapes, still], axis=1)),
-        velocity=observed(jnp.concatenate([still, structure.in_plane_shapes / dt], axis=1)),
+        position,
+        motion=Motion(*(_side_by_side(parts) for parts in zip(position, velocity, end, strict=True))),
         axes=observed(jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)),
-        end=Motion(powers[steps].T, *jnp.einsum("lst,tb->bls", powers[:steps][::-1], step_input)),
     )
+
+
+def _side_by_side(parts) -> Array:
+    """Matrices with the same rows as one. XLA multiplies eight columns at once and what remains one by one: filled up."""
+    columns = sum(part.shape[1] for part in parts)
+    return jnp.concatenate([*parts, jnp.zeros((len(parts[0]), -columns % 8))], axis=1)
 
 
 def _discretise(structure: Structure, duration: Scalar, dt: Scalar):

@@ -1,5 +1,6 @@
 """Numerical settings: how the model is computed, never what it is."""
 
+import dataclasses
 import math
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import numpy as np
 from ._check import not_negative, positive
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._gain import cost, gain_kernel, sweeps_needed
+from ._gain import SPARE, TOLERANCE, cost, gain_kernel, sweeps_needed
 from ._structure import Structure
 from ._tool import EndMill
 from ._types import Scalar, as_number
@@ -30,10 +31,12 @@ class Settings(eqx.Module):
       0.2 % (`make validate`).
     - `passes`: earlier tooth passes remembered, >= 1. One is enough while no tooth loses contact.
     - `blocks`: parts into which a tooth period is cut, a divisor of steps_per_tooth. Each is computed at once.
-    - `sweeps`: fixed-point sweeps per block, >= 1. `Settings.suited` chooses `blocks` and `sweeps`; the error that they
-      leave is estimated in every result, as its residual. A rigid tool takes one.
+    - `sweeps`: most fixed-point sweeps per block, >= 1; a block takes as many as `tolerance` asks for, its derivatives take
+      them all. `Settings.suited` chooses `blocks` and `sweeps`.
     - `width`: half-width of the smoothed gates [m], >= 0; small against h_s and the feed per tooth. The bias of the mean
       force at the default is below 0.3 % (`make validate`); 0 is the hard model.
+    - `tolerance`: error of the force that the sweeps may leave in a block, over the largest force so far [-], > 0. It is
+      estimated from what they change; the largest estimate is the residual of every result. In float32 not below 4e-6.
     """
 
     periods: int = eqx.field(static=True)
@@ -42,6 +45,7 @@ class Settings(eqx.Module):
     blocks: int = eqx.field(static=True, default=1)
     sweeps: int = eqx.field(static=True, default=4)
     width: Scalar = eqx.field(converter=as_number, default=1e-6)
+    tolerance: Scalar = eqx.field(converter=as_number, default=TOLERANCE)
 
     def __check_init__(self):
         for name, least in (("periods", 1), ("steps_per_tooth", 10), ("passes", 1), ("blocks", 1), ("sweeps", 1)):
@@ -53,6 +57,7 @@ class Settings(eqx.Module):
                 f"simulation.blocks: {self.blocks} given; it must divide steps_per_tooth ({self.steps_per_tooth})"
             )
         not_negative("simulation.width", self.width, "m")
+        positive("simulation.tolerance", self.tolerance, "")
 
     @property
     def steps(self) -> int:
@@ -71,6 +76,7 @@ class Settings(eqx.Module):
         width=1e-6,
         blocks: int | None = None,
         sweeps: int | None = None,
+        tolerance=TOLERANCE,
     ) -> "Settings":
         """Settings for a simulation of at least `duration` [s], in whole tooth periods.
 
@@ -91,12 +97,13 @@ class Settings(eqx.Module):
             steps_per_tooth=steps_per_tooth,
             passes=passes,
             width=width,
+            tolerance=tolerance,
         )
         matrices = structure.mass_matrix, structure.damping_matrix, structure.stiffness_matrix
         require_resolved(float(fastest_rate(*matrices)), period, steps_per_tooth)
         if blocks is None or sweeps is None:
             blocks, sweeps = _cheapest(tool, force, structure, cut, settings, blocks, sweeps)
-        return Settings(settings.periods, steps_per_tooth, passes, blocks, sweeps, width)
+        return dataclasses.replace(settings, blocks=blocks, sweeps=sweeps)
 
 
 def fastest_rate(mass, damping, stiffness) -> np.ndarray:
@@ -126,9 +133,9 @@ def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[in
         return blocks or 1, sweeps or 1
     kernel = np.asarray(gain_kernel(tool, force, structure, cut, settings.width, settings.steps_per_tooth))
     options = np.array([blocks] if blocks else block_options(settings.steps_per_tooth))
-    needed = sweeps_needed(kernel[None], options)[0] if sweeps is None else np.full(len(options), sweeps)
+    needed = sweeps_needed(kernel[None], options)[0]
     best = int(np.argmin(cost(options, needed)))
-    return int(options[best]), int(needed[best])
+    return int(options[best]), sweeps or int(needed[best]) + SPARE
 
 
 def block_options(steps_per_tooth: int) -> list[int]:

@@ -25,7 +25,7 @@ from ._chip import Angles
 from ._contact import borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._gain import RERUNS, tolerance
+from ._gain import RERUNS, gain_kernel, reachable
 from ._march import Carry, Model, Past, Place, at_rest, map_periods, march, process, remembered
 from ._response import block_response
 from ._settings import Settings
@@ -146,11 +146,13 @@ def _simulate(case: Case) -> Simulation:
         radius=tool.radius,
         place=_places(case, m),
         response=block_response(structure, dt, m),
+        contraction=jnp.sum(lax.stop_gradient(gain_kernel(tool, law, structure, cut, settings.width, steps))[:m]),
+        tolerance=reachable(settings.tolerance, dt.dtype),
         step_angle=2 * np.pi / (tool.teeth * steps),
     )
-    start = at_rest(blocks, settings.passes, m, 2 * structure.coordinates)
-    state, force, motion, chip, changes = march(model, start, settings.periods, sweeps=sweeps)
-    chip, changes = lax.stop_gradient((chip, changes))
+    start = at_rest(model, settings.passes)
+    state, force, motion, chip, error = march(model, start, settings.periods, sweeps=sweeps)
+    chip, error = lax.stop_gradient((chip, error))
     chip = _with_derivatives_of(chip, _chips(model, start, motion))
     if structure.mode_shapes is None and set(structure.axes) <= set("xy"):
         displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
@@ -158,14 +160,14 @@ def _simulate(case: Case) -> Simulation:
         displacement = jax.vmap(jax.vmap(model.response.axes))(state, force)
     displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), m))
     plane = jnp.stack([component.ravel() for component in force])
-    residual = _residual(changes, plane) if structure.coordinates else jnp.zeros(())
+    residual = _residual(error, plane)
     return Simulation(
         time=(jnp.arange(settings.steps) + 0.5) * dt,
         force=jnp.stack([*plane, jnp.zeros(settings.steps)], axis=1),
         displacement=displacement,
         chip_thickness=_by_tooth(chip),
         residual=residual,
-        status=status_of(plane, displacement, residual, tool.radius),
+        status=status_of(plane, displacement, residual, tool.radius, settings.tolerance),
         axes=structure.axes,
     )
 
@@ -183,11 +185,11 @@ def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods bl
     return map_periods(of_period, (number, remembered(start.past, motion), motion.displacement))
 
 
-def status_of(force, displacement, residual, radius) -> Int[Array, ""]:
+def status_of(force, displacement, residual, radius, tolerance) -> Int[Array, ""]:
     """The status of a simulation with these traces: the most serious that applies."""
     finite = jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(displacement))
     strayed = jnp.any(jnp.abs(displacement) > radius)
-    return jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual <= tolerance(force.dtype), 0, 1)))
+    return jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual <= reachable(tolerance, force.dtype), 0, 1)))
 
 
 @jax.custom_jvp
@@ -201,15 +203,10 @@ def _derivatives_of_model(primals, tangents):
     return primals[0], tangents[1]
 
 
-def _residual(changes, force) -> Scalar:
-    """Estimated error of the forces that the sweeps leave, over the largest force.
-
-    One sweep more would change the force by as much less as the last sweep changed it less than the one before.
-    """
-    before, last = (lax.stop_gradient(jnp.max(change)) for change in changes)
-    contraction = jnp.where(last < before, last / jnp.where(before > 0, before, 1.0), 1.0)
+def _residual(error, force) -> Scalar:
+    """Estimated error of the forces that the sweeps leave, over the largest force."""
     largest = lax.stop_gradient(jnp.max(jnp.abs(force)))
-    return last * contraction / jnp.where(largest > 0, largest, 1.0)
+    return jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
 
 
 def _places(case: Case, m: int) -> Place:

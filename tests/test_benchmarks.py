@@ -58,7 +58,7 @@ CUTS = {
 def test_the_engine_agrees_with_the_c_loop(cut):
     # Nothing in common but the equations: C, one step after the other, converged in each. 1e-9 leaves room for rounding.
     case = CUTS[cut]()
-    case = dataclasses.replace(case, settings=dataclasses.replace(case.settings, sweeps=30))
+    case = dataclasses.replace(case, settings=dataclasses.replace(case.settings, sweeps=30, tolerance=1e-14))
     sim, loop = mx.simulate(case), compiled.same_model(case, tolerance=1e-18)()
     assert error(sim.force[:, :2], loop.force) < 1e-9
     assert error(sim.displacement[:, :2], loop.displacement) < 1e-9
@@ -81,7 +81,7 @@ def test_the_simplified_loop_computes_the_same_cut():
 
 
 def test_the_scan_over_steps_agrees_with_the_engine():
-    case = slot(duration=0.05, sweeps=12)
+    case = slot(duration=0.05, sweeps=12, tolerance=1e-14)
     sim, (force, displacement) = mx.simulate(case), step_by_step(case)()
     assert error(force, sim.force[:, :2]) < 1e-9
     assert error(displacement, sim.displacement) < 1e-9

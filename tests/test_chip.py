@@ -68,7 +68,7 @@ def test_a_pass_out_of_reach_is_skipped():
 
 
 def least(passes, width=0.0, step=0.02):
-    gap, rate = thickness(tuple(map(jnp.asarray, found) for found in passes), jnp.asarray(width), step)
+    gap, rate = thickness(tuple((jnp.asarray(gap), jnp.asarray(rate)) for gap, rate in passes), jnp.asarray(width), step)
     return float(gap), float(rate)
 
 

@@ -34,11 +34,14 @@ def test_gradients_at_the_kinks(x, width):
 
 
 def test_the_preferred_of_two_is_the_smaller():
-    assert preferred(1.0, 2.0, 1.0) == 0
-    assert preferred(2.0, 1.0, 1.0) == 1
-    assert preferred(1.5, 1.5, 1.0) == 0.5
-    assert [float(preferred(a, b, 0.0)) for a, b in ((1.0, 2.0), (2.0, 1.0))] == [0.0, 1.0]
-    assert jnp.isfinite(jax.grad(preferred)(1.0, 1.0, 0.0))
+    assert [float(x) for x in preferred(1.0, 2.0, 1.0)] == [0, 0]
+    assert [float(x) for x in preferred(2.0, 1.0, 1.0)] == [1, 0]
+    assert preferred(1.5, 1.5, 1.0)[0] == 0.5
+    assert [float(preferred(a, b, 0.0)[0]) for a, b in ((1.0, 2.0), (2.0, 1.0))] == [0.0, 1.0]
+    weight, slope = preferred(1.4, 1.5, 1.0)
+    assert float(slope) == pytest.approx(float(jax.grad(lambda a: preferred(a, 1.5, 1.0)[0])(1.4)), rel=1e-12)
+    assert 0 < weight < 0.5
+    assert jnp.isfinite(preferred(1.0, 1.0, 0.0)[1])
 
 
 def test_half_change_has_a_gradient_where_nothing_changes():

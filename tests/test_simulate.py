@@ -127,28 +127,44 @@ def test_blocks_and_sweeps_give_the_step_by_step_solution(axes, mass, stiffness,
 
 
 def test_blocks_and_sweeps_do_not_change_the_result():
-    reference = mx.simulate(slot(mass=1.0, stiffness=3e6, sweeps=16, duration=0.06))
+    reference = mx.simulate(slot(mass=1.0, stiffness=3e6, sweeps=16, duration=0.06, tolerance=1e-12))
     for blocks, sweeps in ((2, 12), (8, 8)):
-        other = mx.simulate(slot(mass=1.0, stiffness=3e6, blocks=blocks, sweeps=sweeps, duration=0.06))
-        assert np.allclose(other.force, reference.force, atol=1e-6, rtol=0)
+        case = slot(mass=1.0, stiffness=3e6, blocks=blocks, sweeps=sweeps, duration=0.06, tolerance=1e-12)
+        assert np.allclose(mx.simulate(case).force, reference.force, atol=1e-6, rtol=0)
 
 
 def test_sweeps_are_added_until_the_force_has_converged():
-    few, more = slot(mass=1.0, stiffness=3e6, sweeps=2), slot(mass=1.0, stiffness=3e6, sweeps=4)
+    few, more = slot(mass=1.0, stiffness=3e6, sweeps=2), slot(mass=1.0, stiffness=3e6, sweeps=8)
     assert mx.simulate(few, throw=False).status == 1
-    assert np.array_equal(mx.simulate(few).force, mx.simulate(more).force)
-    assert not np.array_equal(mx.simulate(few, throw=False).force, mx.simulate(more).force)
+    assert mx.simulate(few).status == 0
+    assert np.allclose(mx.simulate(few).force, mx.simulate(more).force, atol=1e-4, rtol=0)
+    assert not np.allclose(mx.simulate(few, throw=False).force, mx.simulate(more).force, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("case", [{}, {"mass": 1.0, "stiffness": 3e6}, {"mass": 1.0, "stiffness": 3e6, "blocks": 4}])
+CHATTER = {"mass": 1.0, "stiffness": 3e6}
+
+
+@pytest.mark.parametrize("case", [{}, CHATTER, CHATTER | {"blocks": 4}], ids=["slot", "chatter", "chatter in blocks"])
 def test_the_residual_is_the_error_that_the_sweeps_leave(case):
-    converged = np.asarray(mx.simulate(slot(sweeps=20, **case)).force)
-    for sweeps in (2, 3, 4):
-        sim = mx.simulate(slot(sweeps=sweeps, **case), throw=False)
-        error = np.abs(np.asarray(sim.force) - converged).max() / np.abs(converged).max()
-        assert error < 2 * sim.residual + 1e-14
-        assert sim.residual < 100 * error + 1e-14
-    assert mx.simulate(slot(sweeps=1, **case), throw=False).residual > 1e-3  # one sweep says nothing about the next
+    converged = np.asarray(mx.simulate(slot(sweeps=20, tolerance=1e-14, **case)).force)
+
+    def error(sim):
+        return np.abs(np.asarray(sim.force) - converged).max() / np.abs(converged).max()
+
+    for sweeps in (1, 2, 3, 4):
+        sim = mx.simulate(slot(sweeps=sweeps, tolerance=1e-13, **case), throw=False)
+        assert error(sim) < 3 * sim.residual + 1e-14
+        assert sim.residual < 300 * error(sim) + 1e-14
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        sim = mx.simulate(slot(sweeps=20, tolerance=tolerance, **case))
+        assert sim.residual <= tolerance
+        assert error(sim) < 10 * tolerance  # the errors of the blocks add up where the cut is unstable
+
+
+def test_a_block_takes_no_more_sweeps_than_it_needs():
+    # The tool is at rest before it meets the stock, and what it does there is known after one sweep.
+    few, many = (mx.simulate(slot(sweeps=sweeps, duration=0.02)) for sweeps in (4, 20))
+    assert np.array_equal(few.force, many.force)
 
 
 def step_means(fine, ratio):

@@ -51,7 +51,7 @@ def _beside_c(case, times):
     for name, force in ((SAME, loop.force), (ENGINE, np.asarray(mx.simulate(case).force)[:, :2])):
         error = np.abs(force - converged.force).max() / np.abs(converged.force).max()
         yield Figure(f"{name}: largest error of force from not iterating on", f"{error:.1e}", "", None)
-    long = case.with_settings(sweeps=30)
+    long = case.with_settings(sweeps=30, tolerance=1e-14)
     sim = mx.simulate(long)
     difference = np.abs(np.asarray(sim.force)[:, :2] - converged.force).max() / np.abs(converged.force).max()
     yield below(f"{ENGINE} and {SAME}, both converged: largest difference of force", difference, 1e-9, form=".1e")

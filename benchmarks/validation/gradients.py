@@ -27,7 +27,7 @@ CHANGE = 1e-5
 
 
 def figures():
-    case = slot(duration=0.03, sweeps=7)
+    case = slot(duration=0.03, sweeps=8, tolerance=1e-13)
 
     @jax.jit
     def function(factors):
@@ -58,7 +58,7 @@ def _finite():
         "hard gates": {"width": 0.0},
         "zero feed, hard gates": {"feed": 0.0, "width": 0.0},
     }.items():
-        case = slot(duration=0.0045, steps_per_tooth=20, sweeps=4, width=change.get("width", 1e-6))
+        case = slot(duration=0.0045, steps_per_tooth=20, sweeps=6, tolerance=1e-12, width=change.get("width", 1e-6))
         start = jnp.array(change.get("start", (-0.01, 0.0)))
         case = eqx.tree_at(lambda c: (c.cut.start, c.cut.feed_rate), case, (start, jnp.array(change.get("feed", 4 / 60))))
         numbers, rest = eqx.partition(case, eqx.is_inexact_array)

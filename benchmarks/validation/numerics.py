@@ -12,7 +12,7 @@ FINE = 1280
 
 def figures():
     yield from _order("rigid", axes=())
-    yield from _order("2-DOF", axes=("x", "y"), sweeps=6)
+    yield from _order("2-DOF", axes=("x", "y"), sweeps=8, tolerance=1e-10)
     yield from _hard_limit()
 
 
@@ -57,10 +57,10 @@ def _slope(what, errors, which, least) -> Figure:
 
 
 def _hard_limit():
-    hard = _force(width=0.0, sweeps=6)
+    hard = _force(width=0.0, sweeps=8, tolerance=1e-10)
     differences = []
     for width in (4e-6, 2e-6, 1e-6, 0.5e-6):
-        soft = _force(width=width, sweeps=6)
+        soft = _force(width=width, sweeps=8, tolerance=1e-10)
         differences.append(np.sqrt(((soft - hard) ** 2).mean() / (hard**2).mean()))
         yield Figure(
             f"gates of width {width * 1e6:.1f} µm: RMS force difference from the hard model",
@@ -70,7 +70,7 @@ def _hard_limit():
         )
     order = np.polyfit(np.log([8, 4, 2, 1]), np.log(differences), 1)[0]
     yield Figure("order in the width", f"{order:.2f}", "≥ 1", bool(order >= 1))
-    default = _force(sweeps=6)
+    default = _force(sweeps=8, tolerance=1e-10)
     means = [trace[-160:].mean(axis=0) for trace in (default, hard)]
     bias = np.abs(means[0] - means[1]).max() / np.abs(means[1]).max()
     yield below("default width (1 µm): bias of the mean force", 100 * bias, 0.3, unit=" %")

@@ -37,7 +37,7 @@ def _cuts():
 
 
 def _converged(case: mx.Case) -> mx.Simulation:
-    return mx.simulate(case.with_settings(sweeps=30))
+    return mx.simulate(case.with_settings(sweeps=30, tolerance=1e-14))
 
 
 def _largest(values, reference) -> float:
