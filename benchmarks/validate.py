@@ -8,9 +8,9 @@ Exit code 1 where a target is missed.
 import importlib
 import platform
 
-import jax
+import millax as mx
 
-jax.config.update("jax_enable_x64", True)
+mx.set_up()
 
 SUBJECTS = {
     "papers": "Closed forms and the papers' tables",

@@ -82,7 +82,7 @@ def fit(
     Raises `ValueError` for parameters and traces that cannot be used, and where JAX is not set to float64.
     """
     if jnp.zeros(()).dtype != jnp.float64:
-        raise ValueError('a fit needs float64: call jax.config.update("jax_enable_x64", True) before anything else')
+        raise ValueError("a fit needs float64: call millax.set_up() before anything else")
     traces = [traces] if isinstance(traces, Trace) else list(traces)
     if not traces:
         raise ValueError("no trace given; a fit needs at least one")

@@ -6,6 +6,7 @@ from ._cut import Cut
 from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
 from ._program import use_all_cores
 from ._reductions import REDUCTIONS, Reduction
+from ._runtime import set_up
 from ._settings import Settings
 from ._simulate import STATUS, Simulation, SimulationError, simulate
 from ._stock import Stock
@@ -37,6 +38,7 @@ __all__ = [
     "Values",
     "load_case",
     "sample",
+    "set_up",
     "simulate",
     "summarize",
     "sweep",

@@ -72,7 +72,7 @@ class Choice(NamedTuple):
 
 
 def thickness(paths: Paths, width: Scalar, step_angle: float) -> tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]]:
-    """g_k [m] of the pass that leaves the least, negative out of contact, and its rate e . D_k [m/rad] with the tooth angle."""
+    """g_k [m] of the pass that leaves the least, negative out of contact, and e . D_k, its rate with the angle [m/rad]."""
     gap, rate, _ = least_so_far(paths, choices(paths, width, step_angle), step_angle)[-1]
     return gap, rate
 

@@ -134,7 +134,7 @@ def _by_paths(
 
     `_chip.thickness` in reverse.
     """
-    first, *others = passes(paths, step_angle)
+    others = passes(paths, step_angle)[1:]
     stages = least_so_far(paths, chosen, step_angle)[:-1]
     by, by_width, found = (by_gap, by_rate, jnp.zeros_like(by_gap)), jnp.zeros_like(by_gap), []
     for least, other, choice in reversed(list(zip(stages, others, chosen, strict=True))):

@@ -43,9 +43,7 @@ STATUS = {
 """What each `Simulation.status` means and what to try."""
 
 
-SINGLE_PRECISION = (
-    'millax runs in float32. For full accuracy: jax.config.update("jax_enable_x64", True) before anything else'
-)
+SINGLE_PRECISION = "millax runs in float32. For full accuracy call millax.set_up() before anything else"
 """The warning of every computation in float32."""
 
 

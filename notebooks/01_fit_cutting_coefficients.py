@@ -29,7 +29,7 @@ import millax as mx
 from identification import Parameter, fit, load_fit
 from millax.plots import COLOURS, tidy
 
-jax.config.update("jax_enable_x64", True)
+mx.set_up()  # double precision, and faster code
 
 problem = load_fit(Path("../data_synthetic/kr240_slot.toml"))
 case, (trace,) = problem.case, problem.traces

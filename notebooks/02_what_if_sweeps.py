@@ -20,7 +20,6 @@
 # %%
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,7 +28,7 @@ import millax as mx
 from identification import fit, load_fit
 from millax.plots import COLOURS, plot_sweep, tidy
 
-jax.config.update("jax_enable_x64", True)
+mx.set_up()  # double precision, and faster code
 mx.use_all_cores()  # before anything is computed
 
 case = mx.load_case(

@@ -53,7 +53,7 @@ def test_every_member_of_a_grid_is_the_simulation_of_its_case(grid):
             one = grid.isel({"cut.spindle_speed": i, "cut.depth": j})
             steps = sim.time.size
             # A program shared with others may have more sweeps: the results agree to what the sweeps may leave.
-            tight = {"rtol": 0, "atol": RESIDUAL_TOLERANCE * float(jnp.abs(sim.force).max())}
+            tight = {"rtol": 0, "atol": TOLERANCE * float(jnp.abs(sim.force).max())}
             np.testing.assert_allclose(one["force"][:steps], sim.force, **tight)
             assert np.isnan(one["force"][steps:]).all()
             assert float(one["simulated_time"]) == pytest.approx(

@@ -10,13 +10,23 @@ import sys
 import time
 from pathlib import Path
 
+BEGIN = time.perf_counter()
+import millax  # noqa: E402  how long this takes is one of the measurements
+from millax._runtime import XLA_FLAGS  # noqa: E402
+
+IMPORTED = time.perf_counter() - BEGIN
+PLAIN = "--plain"
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def ask(name: str, *numbers: float, flags: tuple[str, ...] = ()) -> dict[str, float]:
-    """Run measurement `name` in a fresh process, with further XLA flags."""
+def ask(name: str, *numbers: float, plain: bool = False) -> dict[str, float]:
+    """Run measurement `name` in a fresh process; `plain`: without the XLA flags of `millax.set_up`."""
     command = [sys.executable, "-m", "benchmarks.speed.child", name, *map(str, numbers)]
-    environment = os.environ | {"XLA_FLAGS": " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()}
+    environment = dict(os.environ)
+    if plain:
+        command.append(PLAIN)
+        given = environment.get("XLA_FLAGS", "").split()
+        environment["XLA_FLAGS"] = " ".join(flag for flag in given if flag not in XLA_FLAGS)
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command[1:])} failed:\n{done.stderr}")
@@ -24,31 +34,26 @@ def ask(name: str, *numbers: float, flags: tuple[str, ...] = ()) -> dict[str, fl
 
 
 def start() -> dict[str, float]:
-    """Seconds until `millax` is imported, for the first simulation, and for the second."""
-    begin = time.perf_counter()
-    import millax as mx
-
-    imported = time.perf_counter()
+    """Seconds for the case, the first simulation, and the second."""
     import jax
 
-    jax.config.update("jax_enable_x64", True)
+    import millax as mx
     from benchmarks.slot import slot
 
+    begin = time.perf_counter()
     case = slot(duration=1.0)
     ready = time.perf_counter()
     jax.block_until_ready(mx.simulate(case))
     first = time.perf_counter()
     jax.block_until_ready(mx.simulate(case))
     second = time.perf_counter()
-    return {"import": imported - begin, "case": ready - imported, "first": first - ready, "second": second - first}
+    return {"import": IMPORTED, "case": ready - begin, "first": first - ready, "second": second - first}
 
 
 def memory(mode: str, duration: float) -> dict[str, float]:
     """Peak memory of a process [bytes] that takes one derivative of a simulation of `duration` [s], and the size of the
     result [bytes]."""
     import jax
-
-    jax.config.update("jax_enable_x64", True)
     import jax.numpy as jnp
 
     from benchmarks.slot import slot
@@ -67,9 +72,6 @@ def on_all_cores(subject: str, *numbers: float) -> dict[str, float]:
     """What `measure` of a subject finds in a process in which every core is a device."""
     import importlib
 
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
     import millax as mx
 
     mx.use_all_cores()
@@ -87,8 +89,14 @@ def _peak() -> int:
 
 
 if __name__ == "__main__":
-    name, *rest = sys.argv[1:]
+    name, *rest = (argument for argument in sys.argv[1:] if argument != PLAIN)
     numbers = [float(number) for number in rest]
+    if PLAIN in sys.argv:
+        import jax
+
+        jax.config.update("jax_enable_x64", True)
+    else:
+        millax.set_up()
     if name == "start":
         print(json.dumps(start()))
     elif name in ("forward", "reverse"):
