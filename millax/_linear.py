@@ -14,11 +14,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._block import Conditions, Pair, Process, contact, found_paths, repeat
+from ._block import Conditions, Process, contact, found_paths, repeat
 from ._chip import Choice, Earlier, Paths, choices, least_so_far, passes
 from ._contact import plane_force
 from ._math import stored
-from ._response import Motion
 
 
 class Partials(NamedTuple):
@@ -68,19 +67,22 @@ def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) 
 
 
 def respond(
-    by: Float[Array, "2 2 m"], direct: Float[Array, "2 m"], free: Float[Array, "2 m"], position: Motion, sweeps: int
-) -> Pair:
+    by: Float[Array, "2 2 m"],
+    direct: Float[Array, "2 m"],
+    free: Float[Array, "2 m"],
+    position: Float[Array, "2*m 2*m"],
+    sweeps: int,
+) -> Float[Array, "2 m"]:
     """Changes of the forces over a block that agree with the displacement they make [N].
 
     `by` are the derivatives of the forces by the present displacement, `direct` is the change of the forces at a fixed
-    displacement, `free` that of the displacement at a fixed force.
+    displacement, `free` that of the displacement at a fixed force, and `position` what a force adds to it (`Motion.joined`).
     """
 
-    def force(displacement) -> Pair:
-        x, y = (direct[i] + by[i, 0] * displacement[0] + by[i, 1] * displacement[1] for i in (0, 1))
-        return x, y
+    def force(displacement):
+        return direct + by[:, 0] * displacement[0] + by[:, 1] * displacement[1]
 
-    return repeat(lambda change: force(free + position.of_force(change).reshape(2, -1)), force(free), sweeps)
+    return repeat(lambda change: force(free + (change.ravel() @ position).reshape(2, -1)), force(free), sweeps)
 
 
 def contract(by, change) -> Float[Array, "2 m"]:

@@ -206,14 +206,15 @@ def _stretch_jvp(primals, tangents, *, sweeps):
     pasts = remembered(start.past, traces.motion)
     by, direct = map_periods(linearised, (number, pasts, traces.motion.displacement))
 
+    position, motion = response.position.joined(), response.motion.joined()
+
     def block(change, inputs):
         by, direct, past, extra = inputs
         direct = direct + stored(by.touching, contract, by[:2], tuple(past))
         free = extra + response.motion.of_state(change)
-        force = respond(by.displacement, direct, response.parted(free)[0], response.position, sweeps)
-        displacement, velocity, end = response.parted(free + response.motion.of_force(force))
-        motion = Past(displacement, velocity)
-        return end, (change, force, motion)
+        force = respond(by.displacement, direct, response.parted(free)[0], position, sweeps)
+        displacement, velocity, end = response.parted(free + force.ravel() @ motion)
+        return end, (change, (force[0], force[1]), Past(displacement, velocity))
 
     def tooth_period(carry, inputs):
         state, past = carry

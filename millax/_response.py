@@ -31,6 +31,10 @@ class Motion(NamedTuple):
         """The motion that starts from rest."""
         return force[0] @ self.by_x + force[1] @ self.by_y
 
+    def joined(self) -> Float[Array, "2*m columns"]:
+        """For forces along x and y in one."""
+        return jnp.concatenate([self.by_x, self.by_y])
+
 
 class BlockResponse(NamedTuple):
     """The motions of the tool that follow from the force over a block.

@@ -57,6 +57,21 @@ def test_the_users_flags_have_the_last_word(tmp_path, given, width):
     assert any("small_while_loop" in flag for flag in flags)
 
 
+def test_a_script_sets_up_jax_as_a_command_does(tmp_path):
+    show = "import millax, jax, os; millax.set_up(); print(os.environ['XLA_FLAGS'], jax.numpy.ones(1).dtype)"
+    done = run(tmp_path, "-W", "error", "-c", show)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-1] == "float64"
+    assert done.stdout.split()[:-1] == run(tmp_path, "-c", SHOW).stdout.split()
+
+
+def test_setting_up_too_late_is_said(tmp_path):
+    show = "import millax, jax; jax.numpy.ones(1); millax.set_up(); millax.set_up(); print(jax.numpy.ones(1).dtype)"
+    done = run(tmp_path, "-c", show)
+    assert done.stderr.count("comes too late") == 1
+    assert done.stdout.split() == ["float64"]
+
+
 def test_importing_the_packages_sets_nothing(tmp_path):
     show = "import millax, identification, os, jax; print(os.environ.get('XLA_FLAGS'), jax.config.jax_compilation_cache_dir)"
     assert run(tmp_path, "-c", show).stdout.split() == ["None", "None"]
