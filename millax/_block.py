@@ -55,7 +55,7 @@ class Solution(NamedTuple):
     error: Scalar
     """Of the forces that the sweeps leave, estimated: root of the sum of squares over the block [N]."""
     contraction: Scalar
-    """By how much a sweep makes the error smaller, at most [-]."""
+    """By how much the second sweep made the error smaller, or what was expected of it [-]."""
 
 
 def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, Float[Array, "teeth m"]]:
@@ -108,12 +108,14 @@ def solve(
         new, chip = cutting(process, free + position.of_force(force).reshape(2, -1))
         change = norm(difference(new, force))
         shown = jnp.where(change < before, change / jnp.where(before > 0, before, 1.0), 1.0)
-        contraction = jnp.where(count > 0, shown, contraction)
+        left = change * jnp.where(count > 0, shown, contraction)
+        # Later sweeps contract more, until they tell about rounding.
+        contraction = jnp.where(count == 1, shown, contraction)
         # In a batch, members that are done wait for the others as they are: no result depends on who else is there.
         going = error > allowed
         new, chip, change, contraction, error = jax.tree.map(
             lambda new, old: jnp.where(going, new, old),
-            (new, chip, change, contraction, change * contraction),
+            (new, chip, change, contraction, left),
             found[:-1],
         )
         return new, chip, change, contraction, error, count + 1

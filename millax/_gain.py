@@ -52,15 +52,17 @@ def gain_kernel(tool: EndMill, force: ForceLaw, structure: Structure, cut: Cut, 
     return kappa * jnp.linalg.norm(by_lag, axis=0)
 
 
-def sweeps_needed(kernel: Float[np.ndarray, "n steps"], blocks: Int[np.ndarray, " options"]) -> Int[np.ndarray, "n options"]:
-    """Sweeps until the error falls below `TOLERANCE`, for n simulations and numbers of blocks per tooth period."""
+def sweeps_needed(
+    kernel: Float[np.ndarray, "n steps"], blocks: Int[np.ndarray, " options"], tolerance: float
+) -> Int[np.ndarray, "n options"]:
+    """Sweeps until the error falls below the tolerance, for n simulations and numbers of blocks per tooth period."""
     n, steps = kernel.shape
     spectrum = np.fft.rfft(kernel, 2 * steps, axis=1)
     needed = np.ones((n, len(blocks)), dtype=int)
     power = kernel
     for _ in range(MOST_SWEEPS - 1):
         # The largest row sum over a block is the sum of the first coefficients.
-        needed += FIRST_ERROR * np.cumsum(power, axis=1)[:, steps // blocks - 1] > TOLERANCE
+        needed += FIRST_ERROR * np.cumsum(power, axis=1)[:, steps // blocks - 1] > tolerance
         power = np.maximum(np.fft.irfft(spectrum * np.fft.rfft(power, 2 * steps, axis=1), axis=1)[:, :steps], 0.0)
     return needed
 

@@ -83,7 +83,7 @@ class Carry(NamedTuple):
     trend: Scalar
     """How much of the change from one period to the next comes again in the next one [-]."""
     largest: Scalar
-    """Largest force so far, root mean square over a block [N]."""
+    """Largest force so far, root mean square of its components over a block [N]."""
     contraction: Scalar
     """See `Solution`: the largest so far."""
 
@@ -154,7 +154,7 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
         force = solution.force
         displacement, velocity, end = response.parted(free + response.motion.of_force(force))
         trend = _trend(difference(force, last), newest)
-        largest = jnp.maximum(largest, norm(force) / len(force[0]) ** 0.5)
+        largest = jnp.maximum(largest, norm(force) / (2 * len(force[0])) ** 0.5)
         contraction = jnp.maximum(contraction, solution.contraction)
         traces = Traces(state, force, Past(displacement, velocity), solution.thickness, solution.error)
         return (end, trend, largest, contraction, period), (force, traces)

@@ -83,7 +83,7 @@ def plan(case: Case, members: Members) -> Plan:
     if case.structure.coordinates == 0:
         blocks, needed = np.ones(1, int), np.ones((len(members), 1), int)
     else:
-        needed = sweeps_needed(kernel, blocks)
+        needed = sweeps_needed(kernel, blocks, float(case.settings.tolerance))
     return Plan(periods, _grouped(periods, blocks, needed, functools.partial(cost_in_batch, steps, blocks)))
 
 

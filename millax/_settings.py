@@ -133,7 +133,7 @@ def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[in
         return blocks or 1, sweeps or 1
     kernel = np.asarray(gain_kernel(tool, force, structure, cut, settings.width, settings.steps_per_tooth))
     options = np.array([blocks] if blocks else block_options(settings.steps_per_tooth))
-    needed = sweeps_needed(kernel[None], options)[0]
+    needed = sweeps_needed(kernel[None], options, float(settings.tolerance))[0]
     best = int(np.argmin(cost(options, needed)))
     return int(options[best]), sweeps or int(needed[best]) + SPARE
 

@@ -53,7 +53,7 @@ def test_every_member_of_a_grid_is_the_simulation_of_its_case(grid):
             one = grid.isel({"cut.spindle_speed": i, "cut.depth": j})
             steps = sim.time.size
             # A program shared with others may have more sweeps: the results agree to what the sweeps may leave.
-            tight = {"rtol": 0, "atol": TOLERANCE * float(jnp.abs(sim.force).max())}
+            tight = {"rtol": 0, "atol": 3 * TOLERANCE * float(jnp.abs(sim.force).max())}
             np.testing.assert_allclose(one["force"][:steps], sim.force, **tight)
             assert np.isnan(one["force"][steps:]).all()
             assert float(one["simulated_time"]) == pytest.approx(
@@ -136,7 +136,7 @@ def test_the_residual_is_always_looked_at(monkeypatch):
     """Too few sweeps: simulated again with more, and status 1 where that does not help."""
     case = slot(duration=0.012, mass=1.0)
     expected = mx.sweep(case, grid={"cut.depth": DEPTHS}, reduce=["mean_force"])
-    monkeypatch.setattr(_plan, "sweeps_needed", lambda kernel, blocks: np.full((len(kernel), len(blocks)), 2))
+    monkeypatch.setattr(_plan, "sweeps_needed", lambda kernel, blocks, tolerance: np.zeros((len(kernel), len(blocks)), int))
     again = mx.sweep(case, grid={"cut.depth": DEPTHS}, reduce=["mean_force"])
     assert (again["residual"] <= TOLERANCE).all()
     np.testing.assert_allclose(again["mean_force"], expected["mean_force"], rtol=1e-5, atol=1e-5)

@@ -15,7 +15,7 @@ HEAVY, MODE, LOOP = "slot, 100 kg", "light tool mode", "C, same model"
 
 
 def figures(run: Run):
-    case, heavy = light(duration=run.duration, sweeps=12, tolerance=1e-10), slot(duration=run.duration)
+    case, heavy = light(duration=run.duration, tolerance=1e-10), slot(duration=run.duration)
     frequency = np.sqrt(LIGHT["stiffness"] / LIGHT["mass"]) / (2 * np.pi)
     what = (
         f"{frequency:.0f} Hz, {LIGHT['mass'] * 1e3:.2f} g, zeta {LIGHT['damping_ratio']}, {case.cut.depth * 1e6:.0f} µm deep"
