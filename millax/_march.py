@@ -61,6 +61,8 @@ class Model(NamedTuple):
     """By how much a sweep makes the error in a block smaller, expected [-]."""
     tolerance: Scalar
     """Error of the force in a block that may be left, over the largest force [-]."""
+    periods: Scalar
+    """Tooth periods that count. A march in several stretches goes on for a few more."""
     step_angle: float
 
 
@@ -84,6 +86,8 @@ class Carry(NamedTuple):
     """How much of the change from one period to the next comes again in the next one [-]."""
     largest: Scalar
     """Largest force so far, root mean square of its components over a block [N]."""
+    peaks: tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "2 m"]]
+    """Largest absolute values so far in each step of a block: of the force along x and y [N], and of the displacement [m]."""
     contraction: Scalar
     """See `Solution`: the largest so far."""
 
@@ -107,20 +111,21 @@ def at_rest(model: Model, passes: int) -> Carry:
     none = (nothing, nothing)
     zero = jnp.zeros_like(model.contraction)
     state = jnp.zeros(len(model.response.motion.free))
-    return Carry(state, Past(still, still), none, none, zero, zero, model.contraction)
+    peaks = (nothing[0], nothing[0], still[0, 0])
+    return Carry(state, Past(still, still), none, none, zero, zero, peaks, model.contraction)
 
 
-def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> Traces:
-    """Simulate `periods` tooth periods."""
+def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> tuple[Carry, Traces]:
+    """Simulate `periods` tooth periods: what they leave, and their traces."""
     # Stretches of equal length, with a few periods more than asked for, so that one program serves them all.
     stretches = -(-periods // STRETCH)
     length = -(-periods // stretches)
     number = jnp.arange(stretches * length, dtype=model.response.position.free.dtype).reshape(stretches, length)
     if stretches == 1:
-        return stretch(model, start, number[0], sweeps=sweeps)[1]
+        return stretch(model, start, number[0], sweeps=sweeps)
     checkpointed = jax.checkpoint(lambda carry, number: stretch(model, carry, number, sweeps=sweeps))
-    traces = lax.scan(checkpointed, start, number)[1]
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:periods], traces)
+    end, traces = lax.scan(checkpointed, start, number)
+    return end, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:periods], traces)
 
 
 def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
@@ -138,7 +143,7 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
     response = model.response
 
     def block(carry, inputs):
-        state, trend, largest, contraction, period = carry
+        state, trend, largest, peaks, contraction, period = carry
         place, past, last, before = inputs
         newest = difference(last, before)
         free = response.motion.of_state(state)
@@ -155,13 +160,17 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
         displacement, velocity, end = response.parted(free + response.motion.of_force(force))
         trend = _trend(difference(force, last), newest)
         largest = jnp.maximum(largest, norm(force) / (2 * len(force[0])) ** 0.5)
+        counts = period < model.periods
+        peaks = jax.tree.map(
+            lambda peak, x: jnp.where(counts, jnp.maximum(peak, jnp.abs(x)), peak), peaks, (*force, displacement)
+        )
         contraction = jnp.maximum(contraction, solution.contraction)
         traces = Traces(state, force, Past(displacement, velocity), solution.thickness, solution.error)
-        return (end, trend, largest, contraction, period), (force, traces)
+        return (end, trend, largest, peaks, contraction, period), (force, traces)
 
     def tooth_period(carry, period):
         inputs = (model.place, carry.past, carry.last, carry.before)
-        start = (carry.state, carry.trend, carry.largest, carry.contraction, period)
+        start = (carry.state, carry.trend, carry.largest, carry.peaks, carry.contraction, period)
         (state, *adapted, _), (force, traces) = lax.scan(block, start, inputs)
         return Carry(state, _shifted(carry.past, traces.motion), force, carry.last, *adapted), traces
 

@@ -146,26 +146,29 @@ def _simulate(case: Case) -> Simulation:
         response=block_response(structure, dt, m),
         contraction=jnp.sum(lax.stop_gradient(gain_kernel(tool, law, structure, cut, settings.width, steps))[:m]),
         tolerance=reachable(settings.tolerance, dt.dtype),
+        periods=jnp.asarray(settings.periods, dt.dtype),
         step_angle=2 * np.pi / (tool.teeth * steps),
     )
     start = at_rest(model, settings.passes)
-    state, force, motion, chip, error = march(model, start, settings.periods, sweeps=sweeps)
+    end, traces = march(model, start, settings.periods, sweeps=sweeps)
+    state, force, motion, chip, error = traces
+    *largest, moved = lax.stop_gradient(end.peaks)
     chip, error = lax.stop_gradient((chip, error))
     chip = _with_derivatives_of(chip, _chips(model, start, motion))
     if structure.mode_shapes is None and set(structure.axes) <= set("xy"):
         displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
     else:
-        displacement = jax.vmap(jax.vmap(model.response.axes))(state, force)
+        displacement = moved = jax.vmap(jax.vmap(model.response.axes))(state, force)
     displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), m))
-    plane = jnp.stack([component.ravel() for component in force])
-    residual = _residual(error, plane)
+    largest = jnp.max(jnp.stack(largest))
+    residual = jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
     return Simulation(
         time=(jnp.arange(settings.steps) + 0.5) * dt,
-        force=jnp.stack([*plane, jnp.zeros(settings.steps)], axis=1),
+        force=jnp.stack([*(component.ravel() for component in force), jnp.zeros(settings.steps)], axis=1),
         displacement=displacement,
         chip_thickness=_by_tooth(chip),
         residual=residual,
-        status=status_of(plane, displacement, residual, tool.radius, settings.tolerance),
+        status=status_of(largest, moved, residual, tool.radius, settings.tolerance),
         axes=structure.axes,
     )
 
@@ -184,10 +187,10 @@ def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods bl
 
 
 def status_of(force, displacement, residual, radius, tolerance) -> Int[Array, ""]:
-    """The status of a simulation with these traces: the most serious that applies."""
-    finite = jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(displacement))
-    strayed = jnp.any(jnp.abs(displacement) > radius)
-    return jnp.where(~finite, 3, jnp.where(strayed, 2, jnp.where(residual <= reachable(tolerance, force.dtype), 0, 1)))
+    """The status of a simulation with these traces, or with their peaks: the most serious that applies."""
+    largest, moved = jnp.max(jnp.abs(force)), jnp.max(jnp.abs(displacement), initial=0.0)
+    finite = jnp.isfinite(largest) & jnp.isfinite(moved)
+    return jnp.where(~finite, 3, jnp.where(moved > radius, 2, jnp.where(residual <= reachable(tolerance, force.dtype), 0, 1)))
 
 
 @jax.custom_jvp
@@ -199,12 +202,6 @@ def _with_derivatives_of(value, model):
 @_with_derivatives_of.defjvp
 def _derivatives_of_model(primals, tangents):
     return primals[0], tangents[1]
-
-
-def _residual(error, force) -> Scalar:
-    """Estimated error of the forces that the sweeps leave, over the largest force."""
-    largest = lax.stop_gradient(jnp.max(jnp.abs(force)))
-    return jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
 
 
 def _places(case: Case, m: int) -> Place:
