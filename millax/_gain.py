@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._response import block_response
+from ._response import Motion, block_response
 from ._structure import Structure
 from ._tool import EndMill
 from ._types import Scalar
@@ -44,11 +44,16 @@ def gain_kernel(tool: EndMill, force: ForceLaw, structure: Structure, cut: Cut, 
     """The gain over the lag in steps [-], shape (steps,); `steps` is the number of steps per tooth period."""
     if structure.coordinates == 0:
         return jnp.zeros(steps)
+    position = block_response(structure, cut.tooth_period(tool) / steps, steps).position
+    return gain_of(tool, force, cut, width, position)
+
+
+def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, position: Motion) -> Float[Array, " m"]:
+    """The gain over the lag in steps [-], from the response of the position."""
     thickness = jnp.maximum(cut.feed_per_tooth(tool), width)
     in_contact = (tool.teeth + 1) // 2
     kappa = in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2)
-    position = block_response(structure, cut.tooth_period(tool) / steps, steps).position
-    by_lag = jnp.stack([position.by_x[0], position.by_y[0]]).reshape(4, steps)
+    by_lag = jnp.stack([position.by_x[0], position.by_y[0]]).reshape(4, -1)
     return kappa * jnp.linalg.norm(by_lag, axis=0)
 
 

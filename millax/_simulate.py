@@ -25,7 +25,7 @@ from ._chip import Angles
 from ._contact import borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._gain import RERUNS, gain_kernel, reachable
+from ._gain import RERUNS, gain_of, reachable
 from ._march import Carry, Model, Past, Place, at_rest, map_periods, march, process, remembered
 from ._response import block_response
 from ._settings import Settings
@@ -134,6 +134,7 @@ def _simulate(case: Case) -> Simulation:
     tau = cut.tooth_period(tool)
     dt = tau / steps
     sweeps = settings.sweeps if structure.coordinates else 1
+    response = block_response(structure, dt, m)
     model = Model(
         law=law,
         depth=cut.depth,
@@ -143,8 +144,8 @@ def _simulate(case: Case) -> Simulation:
         tip_speed=cut.spindle_speed * tool.radius,
         radius=tool.radius,
         place=_places(case, m),
-        response=block_response(structure, dt, m),
-        contraction=jnp.sum(lax.stop_gradient(gain_kernel(tool, law, structure, cut, settings.width, steps))[:m]),
+        response=response,
+        contraction=lax.stop_gradient(jnp.sum(gain_of(tool, law, cut, settings.width, response.position))),
         tolerance=reachable(settings.tolerance, dt.dtype),
         periods=jnp.asarray(settings.periods, dt.dtype),
         step_angle=2 * np.pi / (tool.teeth * steps),
