@@ -87,7 +87,7 @@ class Carry(NamedTuple):
     largest: Scalar
     """Largest force so far, root mean square of its components over a block [N]."""
     peaks: tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "2 m"]]
-    """Largest absolute values so far in each step of a block: of the force along x and y [N], and of the displacement [m]."""
+    """Largest absolute values so far in each step of a block: of the force along x and y [N], of the displacement [m]."""
     contraction: Scalar
     """See `Solution`: the largest so far."""
 

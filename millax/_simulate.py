@@ -191,7 +191,8 @@ def status_of(force, displacement, residual, radius, tolerance) -> Int[Array, ""
     """The status of a simulation with these traces, or with their peaks: the most serious that applies."""
     largest, moved = jnp.max(jnp.abs(force)), jnp.max(jnp.abs(displacement), initial=0.0)
     finite = jnp.isfinite(largest) & jnp.isfinite(moved)
-    return jnp.where(~finite, 3, jnp.where(moved > radius, 2, jnp.where(residual <= reachable(tolerance, force.dtype), 0, 1)))
+    converged = residual <= reachable(tolerance, force.dtype)
+    return jnp.where(~finite, 3, jnp.where(moved > radius, 2, jnp.where(converged, 0, 1)))
 
 
 @jax.custom_jvp
