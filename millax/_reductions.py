@@ -152,7 +152,7 @@ def shapes(sim: Simulation, case: Case, reductions: Mapping[str, Reduction]) -> 
     found = {}
     for name, reduction in reductions.items():
         try:
-            parts = eqx.filter_eval_shape(reduction, sim, case)
+            parts, _ = _traced(reduction, sim, case)
         except Exception as error:
             raise ValueError(
                 f"reduce: {name} cannot be computed from a Simulation by JAX: {type(error).__name__}: {error}"
@@ -171,16 +171,33 @@ def shapes(sim: Simulation, case: Case, reductions: Mapping[str, Reduction]) -> 
 def fingerprints(sim: Simulation, case: Case, reductions: Mapping[str, Reduction]) -> dict[str, str]:
     """What each reduction computes of an abstract simulation, as a short hash of its program: another function under the
     same name has another one."""
-    found = {}
-    for name, reduction in reductions.items():
-        arrays, static = eqx.partition((sim, case), lambda x: isinstance(x, jax.ShapeDtypeStruct) or eqx.is_array(x))
-        program = jax.make_jaxpr(lambda arrays, r=reduction, s=static: r(*eqx.combine(arrays, s)))(arrays)
-        # Addresses of functions differ from run to run.
-        text = re.sub(r"0x[0-9a-f]+", "", str(program.jaxpr))
-        digest = hashlib.sha256(text.encode())
-        for constant in program.consts:
-            digest.update(jnp.asarray(constant).tobytes())
-        labels = f"{reduction.unit}|{reduction.definition}|{reduction.dims}"
-        digest.update(labels.encode())
-        found[name] = digest.hexdigest()[:12]
-    return found
+    return {name: _traced(reduction, sim, case)[1] for name, reduction in reductions.items()}
+
+
+_Traced = tuple[dict[str, jax.ShapeDtypeStruct], str]
+
+_TRACED: dict[tuple, _Traced] = {}
+"""Of the reductions that come with millax. Those of the user are traced anew: what they do may have changed."""
+
+
+def _traced(reduction: Reduction, sim: Simulation, case: Case) -> _Traced:
+    """What a reduction makes of an abstract simulation, by suffix, and the hash of its program."""
+    arrays, static = eqx.partition((sim, case), lambda x: isinstance(x, jax.ShapeDtypeStruct) or eqx.is_array(x))
+    leaves, structure = jax.tree.flatten(arrays)
+    key = (reduction, structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
+    if key in _TRACED:
+        return _TRACED[key]
+
+    def run(arrays):
+        return reduction(*eqx.combine(arrays, static))
+
+    program, parts = jax.make_jaxpr(run, return_shape=True)(arrays)
+    # Addresses of functions differ from run to run.
+    found = hashlib.sha256(re.sub(r"0x[0-9a-f]+", "", str(program.jaxpr)).encode())
+    for constant in program.consts:
+        found.update(jnp.asarray(constant).tobytes())
+    found.update(f"{reduction.unit}|{reduction.definition}|{reduction.dims}".encode())
+    traced = parts, found.hexdigest()[:12]
+    if reduction in REDUCTIONS.values():
+        _TRACED[key] = traced
+    return traced
