@@ -28,7 +28,7 @@ LADDER = 1.1
 COMPILING = 3.0
 """Seconds that one more program costs; against it stands what its members save."""
 
-PIECE = 256
+PIECE = 64
 """Members planned at once."""
 
 

@@ -146,7 +146,9 @@ class _Run:
         sim = abstract(longest)
         self.variables = variables_of(shapes(sim, longest, reductions), reductions)
         self.size = sum(bytes_of(v, len(self.members)) for v in self.variables.values())
-        self.manifest = manifest_of(case, self.members, fingerprints(abstract(case), case, reductions), x64=x64)
+        # Of the case as it is: a longer simulation for some member is no other reduction.
+        own = sim if longest.settings.steps == case.settings.steps else abstract(case)
+        self.manifest = manifest_of(case, self.members, fingerprints(own, case, reductions), x64=x64)
         traces = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(sim))
         batch = _batch(2 * traces + self.size / len(self.members), 1 if cluster else jax.local_device_count())
         constant = {name: value for name, value in self.manifest.items() if not name.startswith("vary.")}
