@@ -95,9 +95,15 @@ def _run(work: Work, group: Group, table, periods, devices: int) -> dict[str, np
     for start in range(0, len(table), size):
         # The last call is filled up with copies of its last member, so that one shape is compiled.
         which = np.minimum(np.arange(start, start + size), len(table) - 1)
-        found = run(table[which].astype(_float(work)), periods[which].astype(np.int32))
-        parts.append({name: np.array(values)[: len(table) - start] for name, values in found.items()})
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        parts.append(run(table[which].astype(_float(work)), periods[which].astype(np.int32)))
+        if len(parts) > 1:  # fetched while the next one is computed
+            parts[-2] = _fetched(parts[-2])
+    parts[-1] = _fetched(parts[-1])
+    return {name: np.concatenate([part[name] for part in parts])[: len(table)] for name in parts[0]}
+
+
+def _fetched(found: dict[str, Array]) -> dict[str, np.ndarray]:
+    return {name: np.array(values) for name, values in found.items()}
 
 
 def _float(work: Work):
