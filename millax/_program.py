@@ -102,7 +102,7 @@ def _run(work: Work, group: Group, table, periods, devices: int) -> dict[str, np
     return {name: np.concatenate([part[name] for part in parts])[: len(table)] for name in parts[0]}
 
 
-def _fetched(found: dict[str, Array]) -> dict[str, np.ndarray]:
+def _fetched(found) -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in found.items()}
 
 
