@@ -131,19 +131,14 @@ def difference(a: Pair, b: Pair) -> Pair:
     return a[0] - b[0], a[1] - b[1]
 
 
+def product(a: Pair, b: Pair) -> Scalar:
+    """Sum of the products over a block."""
+    return jnp.vdot(a[0], b[0]) + jnp.vdot(a[1], b[1])
+
+
 def norm(force: Pair) -> Scalar:
     """Root of the sum of squares over a block."""
-    return jnp.sqrt(jnp.vdot(force[0], force[0]) + jnp.vdot(force[1], force[1]))
-
-
-def repeat(sweep, start, times: int):
-    """`sweep` applied `times` times, none where that is negative."""
-    # Unrolled while short: XLA runs straight code faster than a loop, and compiles a long loop faster.
-    if times > 6:
-        return lax.scan(lambda carry, _: (sweep(carry), None), start, length=times)[0]
-    for _ in range(times):
-        start = sweep(start)
-    return start
+    return jnp.sqrt(product(force, force))
 
 
 @jax.custom_batching.custom_vmap

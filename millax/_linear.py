@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._block import Conditions, Process, contact, found_paths, repeat
+from ._block import Conditions, Process, contact, found_paths
 from ._chip import Choice, Earlier, Paths, choices, least_so_far, passes
 from ._contact import plane_force
 from ._math import stored
@@ -82,7 +82,17 @@ def respond(
     def force(displacement):
         return direct + by[:, 0] * displacement[0] + by[:, 1] * displacement[1]
 
-    return repeat(lambda change: force(free + (change.ravel() @ position).reshape(2, -1)), force(free), sweeps)
+    return _iterated(lambda change: force(free + (change.ravel() @ position).reshape(2, -1)), force(free), sweeps)
+
+
+def _iterated(sweep, start, times: int):
+    """`sweep` applied `times` times, none where that is negative."""
+    # Unrolled while short: XLA runs straight code faster than a loop, and compiles a long loop faster.
+    if times > 6:
+        return lax.scan(lambda carry, _: (sweep(carry), None), start, length=times)[0]
+    for _ in range(times):
+        start = sweep(start)
+    return start
 
 
 def contract(by, change) -> Float[Array, "2 m"]:

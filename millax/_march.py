@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._block import Conditions, Pair, Process, anywhere, difference, norm, solve
+from ._block import Conditions, Pair, Process, anywhere, difference, norm, product, solve
 from ._chip import Angles, Earlier
 from ._contact import Borders
 from ._forces import ForceLaw
@@ -179,9 +179,8 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
 
 def _trend(change: Pair, newest: Pair) -> Scalar:
     """How much of the newest change between periods came again: least squares over a block."""
-    again = sum(jnp.vdot(c, n) for c, n in zip(change, newest, strict=True))
-    size = sum(jnp.vdot(n, n) for n in newest)
-    return jnp.clip(again / jnp.where(size > 0, size, 1.0), -1.0, 1.0)
+    size = product(newest, newest)
+    return jnp.clip(product(change, newest) / jnp.where(size > 0, size, 1.0), -1.0, 1.0)
 
 
 @stretch.def_jvp
