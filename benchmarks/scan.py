@@ -12,7 +12,7 @@ from jax import lax
 
 import millax as mx
 from millax._block import Conditions, Process, cutting
-from millax._chip import Angles, Earlier
+from millax._chip import Angles, Commanded, Earlier
 from millax._contact import Borders
 from millax._simulate import _places
 
@@ -40,10 +40,8 @@ def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.
         now: Angles = jax.tree.map(lambda a: a[place], angles)
         met: Borders = jax.tree.map(lambda a: a[place], borders)
         before = history[(index - earlier) % kept]
-        past = Earlier(
-            *(before[:, :2, None], before[:, 2:, None]),
-            *(feed, cut.feed_rate, cut.spindle_speed * tool.radius, tool.radius),
-        )
+        commanded = Commanded(feed, cut.feed_rate, cut.spindle_speed * tool.radius, tool.radius)
+        past = Earlier(before[:, :2, None], before[:, 2:, None], commanded)
         conditions = Conditions(case.force, cut.depth, s.width, met.moved((index // n) * feed))
         process = Process(now, past, conditions, always, always, step_angle=2 * jnp.pi / (tool.teeth * n))
 

@@ -70,7 +70,7 @@ def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, 
 
 def found_paths(p: Process, displacement: Float[Array, "2 m"]) -> Paths:
     """The paths of the teeth relative to earlier ones; in air, far away from everything."""
-    air = jnp.broadcast_to(-p.earlier.radius, p.angles.cos.shape)
+    air = jnp.broadcast_to(-p.earlier.commanded.radius, p.angles.cos.shape)
     nothing = tuple((air, jnp.zeros_like(air)) for _ in p.earlier.displacement)
     return lax.cond(p.touching, lambda *at: paths(p.angles, *at), lambda *_: nothing, p.earlier, displacement)
 

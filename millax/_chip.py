@@ -28,6 +28,16 @@ class Angles(NamedTuple):
     sin: Float[Array, "teeth m"]
 
 
+class Commanded(NamedTuple):
+    """The motion of the teeth without vibration."""
+
+    feed_per_tooth: Scalar
+    feed_rate: Scalar
+    tip_speed: Scalar
+    """Omega R [m/s]."""
+    radius: Scalar
+
+
 class Earlier(NamedTuple):
     """The earlier passes 1 ... K in the steps of a block, as far as the thickness depends on them."""
 
@@ -35,11 +45,7 @@ class Earlier(NamedTuple):
     """u(t - k tau) [m]."""
     velocity: Float[Array, "passes 2 m"]
     """u'(t - k tau) [m/s]."""
-    feed_per_tooth: Scalar
-    feed_rate: Scalar
-    tip_speed: Scalar
-    """Omega R [m/s]."""
-    radius: Scalar
+    commanded: Commanded
 
 
 Paths = tuple[tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]], ...]
@@ -48,17 +54,18 @@ Paths = tuple[tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]], ...]
 
 def paths(angles: Angles, earlier: Earlier, displacement: Float[Array, "2 m"]) -> Paths:
     """How far the tip of each tooth is from the surfaces left by the earlier passes."""
-    curvature, slowness = 1 / (2 * earlier.radius), 1 / earlier.tip_speed
+    feed_per_tooth, feed_rate, tip_speed, radius = earlier.commanded
+    curvature, slowness = 1 / (2 * radius), 1 / tip_speed
     found = []
     for k in range(len(earlier.displacement)):
-        dx = displacement[0] - earlier.displacement[k, 0] + (k + 1) * earlier.feed_per_tooth
+        dx = displacement[0] - earlier.displacement[k, 0] + (k + 1) * feed_per_tooth
         dy = displacement[1] - earlier.displacement[k, 1]
-        vx = (earlier.velocity[k, 0] + earlier.feed_rate) * slowness
+        vx = (earlier.velocity[k, 0] + feed_rate) * slowness
         vy = earlier.velocity[k, 1] * slowness
         across = -angles.sin * dx - angles.cos * dy
         slope = angles.cos * vx - angles.sin * vy
         gap = angles.cos * dx - angles.sin * dy + across * (across * curvature - slope)
-        found.append((jnp.where(jnp.abs(across) < earlier.radius, gap, earlier.radius), across))
+        found.append((jnp.where(jnp.abs(across) < radius, gap, radius), across))
     return tuple(found)
 
 

@@ -6,6 +6,8 @@ force), and G the response within the block. Both depend on the lag between two 
 first column of a lower triangular Toeplitz matrix. Its powers fall faster than geometrically.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -72,14 +74,35 @@ def sweeps_needed(
     return needed
 
 
-def cost(blocks, sweeps):
-    """Seconds per tooth period of 40 steps, measured: what is the same in all blocks, and what grows with their length."""
-    return 1e-6 * (blocks * (1.0 + 0.55 * sweeps) + 0.8 + 1.85 * sweeps)
+class Cost(NamedTuple):
+    """What the blocks of a tooth period cost [ns], measured. Their steps go through the processor in vectors of `vector`.
+    The response is a matrix as large as the square of the steps of a block."""
+
+    vector: int
+    block: float
+    block_and_sweep: float
+    step: float
+    step_and_sweep: float
+    square: float = 0.0
+    square_and_sweep: float = 0.0
+
+    def __call__(self, steps_per_tooth: int, blocks, sweeps):
+        """Of a tooth period in so many blocks, each with so many sweeps."""
+        steps = steps_per_tooth / blocks
+        filled = np.ceil(steps / self.vector) * self.vector
+        return blocks * (
+            self.block
+            + self.block_and_sweep * sweeps
+            + filled * (self.step + self.step_and_sweep * sweeps)
+            + steps**2 * (self.square + self.square_and_sweep * sweeps)
+        )
 
 
-def cost_in_batch(steps_per_tooth, blocks, sweeps):
-    """The same for a member of a batch, measured. A block goes through the processor in vectors of eight steps, and its
-    response is a matrix of the member's own, which is as large as the square of its steps."""
-    steps = steps_per_tooth / blocks
-    filled = np.ceil(steps / 8) * 8
-    return 1e-9 * blocks * (60 + filled * (17 + 22 * sweeps) + steps**2 * (1 + 0.3 * sweeps))
+DISPATCHED = Cost(1, 1000, 550, 20, 46)
+"""One simulation, the kernels of which are dispatched one by one: what JAX does unless told otherwise."""
+
+COMPILED = Cost(8, 90, 60, 20, 8, 0.1, 0.7)
+"""One simulation after `millax.set_up`: a compiled loop."""
+
+IN_BATCH = Cost(8, 60, 0, 17, 22, 1.0, 0.3)
+"""A member of a batch; its matrices are its own."""

@@ -3,7 +3,8 @@
 At the solution f = F(u, past, p), and u = u(f, p). So df = F_p dp + F_past dpast + F_u (du + G df), with du the change of
 the displacement at a fixed force and G the response within the block. Steps do not feel each other in F, so F has one
 derivative for each step and input. The chain rule is spelt out, from the forces back to the paths of the teeth, and the
-links are stored; what a tooth meets is differentiated automatically.
+links are stored; what a tooth meets is differentiated automatically. Everything stays apart, each force and each axis:
+joined in one array, XLA computes them in loops that it cannot vectorise.
 """
 
 from typing import NamedTuple
@@ -15,74 +16,85 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._block import Conditions, Process, contact, found_paths
-from ._chip import Choice, Earlier, Paths, choices, least_so_far, passes
+from ._chip import Choice, Commanded, Paths, choices, least_so_far, passes
 from ._contact import plane_force
-from ._math import stored
+from ._einsum import einsum
+from ._math import stored, summed
+from ._response import Motion
 
 
 class Partials(NamedTuple):
     """Derivatives of the forces along x and y (first axis) in each step, by what belongs to the same step."""
 
-    past_displacement: Float[Array, "2 passes 2 m"]
-    """By the displacement in the earlier passes [N/m]."""
-    past_velocity: Float[Array, "2 passes 2 m"]
-    """By the velocity in the earlier passes [N s/m]."""
+    past: tuple[Float[Array, "2 2*passes m"], Float[Array, "2 2*passes m"]]
+    """By the displacement [N/m] and the velocity [N s/m] in the earlier passes."""
     displacement: Float[Array, "2 2 m"]
     """By the present displacement [N/m]."""
-    touching: Bool[Array, ""]
-    """See `Process`: where it is false, all derivatives are zero."""
+    others: tuple[Commanded, Conditions]
+    """By all else that changes, its own axes between the first and the last; None for what does not change."""
 
 
-def linearise(p: Process, tangents: Process, displacement: Float[Array, "2 m"]) -> tuple[Partials, Float[Array, "2 m"]]:
-    """Derivatives of the forces along x and y, and their changes with those inputs that have a tangent [N].
+def linearise(p: Process, wanted: tuple[Commanded, Conditions], displacement: Float[Array, "2 m"]) -> Partials:
+    """Derivatives of the forces along x and y.
 
-    `tangents` holds the changes of the process, None for an input that does not change. Those of the earlier motions do not
-    count here: their derivatives are returned instead.
+    `wanted` holds the changes of the other inputs, None for one that does not change. Of the earlier motions there are
+    always derivatives.
     """
     width = p.conditions.width
     found = found_paths(p, displacement)
     chosen = stored(p.touching, lambda found: choices(found, width, p.step_angle), found)
     gap, rate, _ = least_so_far(found, chosen, p.step_angle)[-1]
     near, far = (
-        lambda gap, rate, near=near: _by_contact(p, tangents.conditions, displacement, gap, rate, near=near)
-        for near in (True, False)
+        lambda gap, rate, near=near: _by_contact(p, wanted[1], displacement, gap, rate, near=near) for near in (True, False)
     )
-    by_conditions, by_displacement, by_gap, by_rate = lax.cond(p.near, near, far, gap, rate)
-    by_paths, by_width = stored(
-        p.touching,
-        lambda found, chosen, by_gap, by_rate: _by_paths(found, chosen, by_gap, by_rate, width, p.step_angle),
-        found,
-        chosen,
-        by_gap,
-        by_rate,
-    )
-    by_earlier, through_paths = stored(p.touching, lambda *at: _by_earlier(p, *at), found, by_paths)
+    of_forces = []
+    for by_conditions, by_displacement, by_gap, by_rate in lax.cond(p.near, near, far, gap, rate):
+        by_paths, by_width = stored(
+            p.touching,
+            lambda found, chosen, by_gap, by_rate: _by_paths(found, chosen, by_gap, by_rate, width, p.step_angle),
+            found,
+            chosen,
+            by_gap,
+            by_rate,
+        )
+        past, through_paths, by_earlier = stored(p.touching, lambda *at: _by_earlier(p, wanted[0], *at), found, by_paths)
+        if by_conditions.width is not None:
+            by_conditions = by_conditions._replace(width=by_conditions.width + by_width)
+        by_displacement = jax.tree.map(jnp.add, by_displacement, through_paths)
+        of_forces.append((past, by_displacement, (by_earlier, by_conditions)))
+    return stored(p.touching, _joined, *of_forces)
 
-    if by_conditions.width is not None:
-        by_conditions = by_conditions._replace(width=by_conditions.width + by_width)
-    others = tangents.earlier._replace(displacement=None, velocity=None)
-    by_others = by_earlier._replace(**{name: None for name, change in others._asdict().items() if change is None})
-    direct = contract((by_others, by_conditions), (others, tangents.conditions))
-    return Partials(by_earlier.displacement, by_earlier.velocity, by_displacement + through_paths, p.touching), direct
+
+def _joined(of_x, of_y) -> Partials:
+    """From the derivatives of each force, all numbers apart."""
+
+    def both(x, y):
+        return jnp.stack([jnp.stack(jax.tree.leaves(x)), jnp.stack(jax.tree.leaves(y))])
+
+    (past_x, displacement_x, others_x), (past_y, displacement_y, others_y) = of_x, of_y
+    past = both(past_x[0], past_y[0]), both(past_x[1], past_y[1])
+    others = jax.tree.map(lambda x, y: jnp.stack([x, y]), others_x, others_y)
+    return Partials(past, both(displacement_x, displacement_y), others)
 
 
 def respond(
     by: Float[Array, "2 2 m"],
     direct: Float[Array, "2 m"],
     free: Float[Array, "2 m"],
-    position: Float[Array, "2*m 2*m"],
+    position: Motion,
     sweeps: int,
+    touching: Bool[Array, ""],
 ) -> Float[Array, "2 m"]:
     """Changes of the forces over a block that agree with the displacement they make [N].
 
     `by` are the derivatives of the forces by the present displacement, `direct` is the change of the forces at a fixed
-    displacement, `free` that of the displacement at a fixed force, and `position` what a force adds to it (`Motion.joined`).
+    displacement, `free` that of the displacement at a fixed force.
     """
 
     def force(displacement):
-        return direct + by[:, 0] * displacement[0] + by[:, 1] * displacement[1]
+        return stored(touching, lambda u: direct + einsum("fkm,km->fm", by, u), displacement)
 
-    return _iterated(lambda change: force(free + (change.ravel() @ position).reshape(2, -1)), force(free), sweeps)
+    return _iterated(lambda change: force(free + position.of_force(change).reshape(2, -1)), force(free), sweeps)
 
 
 def _iterated(sweep, start, times: int):
@@ -95,20 +107,29 @@ def _iterated(sweep, start, times: int):
     return start
 
 
-def contract(by, change) -> Float[Array, "2 m"]:
-    """Changes of both forces in each step: partial derivatives times changes, over all inputs."""
-    terms = [
-        jnp.sum((b * d.reshape(*d.shape, *[1] * (b.ndim - 1 - d.ndim))).reshape(2, -1, b.shape[-1]), axis=1)
-        for b, d in zip(jax.tree.leaves(by), jax.tree.leaves(change), strict=True)
-    ]
-    return sum(terms[1:], terms[0]) if terms else jnp.zeros(())
+def contract(by: Partials, past: tuple[Array, Array], others: tuple[Commanded, Conditions]) -> Float[Array, "2 m"]:
+    """Change of the forces in each step: partial derivatives times changes, over all inputs but the present displacement."""
+    displacement, velocity = (
+        einsum("fkm,km->fm", b, d.reshape(-1, d.shape[-1])) for b, d in zip(by.past, past, strict=True)
+    )
+    total = displacement + velocity
+    for b, d in zip(jax.tree.leaves(by.others), jax.tree.leaves(others), strict=True):
+        if d.ndim == 0:
+            total = total + b * d
+        elif d.size:
+            # One number for all steps and teeth, or one for each.
+            d = d.reshape(*d.shape, *[1] * (b.ndim - 1 - d.ndim))
+            d = jnp.broadcast_to(d, (*b.shape[1:-1], d.shape[-1])).reshape(-1, d.shape[-1])
+            b = b.reshape(2, -1, b.shape[-1])
+            total = total + (einsum("fkm,k->fm", b, d[:, 0]) if d.shape[1] == 1 else einsum("fkm,km->fm", b, d))
+    return total
 
 
 def _by_contact(p: Process, wanted: Conditions, displacement, gap, rate, *, near: bool):
-    """Derivatives of both forces (first axis) by the wanted conditions, and by displacement, g and its rate."""
+    """Derivatives of each force by the wanted conditions, and by displacement, g and its rate."""
     teeth, m = p.angles.cos.shape
     conditions, fixed = _repeated(p.conditions, wanted, (teeth, m))
-    everywhere = jnp.broadcast_to(displacement[:, None], (2, teeth, m))
+    everywhere = tuple(jnp.broadcast_to(along, (teeth, m)) for along in displacement)
 
     def met(conditions, displacement, gap, rate):
         found = contact(p, eqx.combine(conditions, fixed), displacement, gap, rate, near=near)
@@ -126,22 +147,20 @@ def _by_contact(p: Process, wanted: Conditions, displacement, gap, rate, *, near
 
     met_there, by = stored(p.touching, of_met, conditions, everywhere, gap, rate)
     _, back = jax.vjp(force, met_there, conditions)
+
+    def over_teeth(by, change):
+        return summed(by) if change.ndim < 2 else by  # all teeth share a number
+
     found = []
     for unit in _units(2, (m,)):
         by_met, by_conditions = back(unit)
-        through, *others = jax.tree.map(lambda *d, by_met=by_met: sum(map(jnp.multiply, by_met, d)), *by)
-        found.append((jax.tree.map(jnp.add, through, by_conditions), *others))
-    by_conditions, by_displacement, by_gap, by_rate = jax.tree.map(lambda x, y: jnp.stack([x, y]), *found)
-
-    def summed(by, change):
-        return jnp.sum(by, axis=-2) if change.ndim < 2 else by  # all teeth share a number
-
-    return jax.tree.map(summed, by_conditions, wanted), jnp.sum(by_displacement, axis=2), by_gap, by_rate
+        through, by_displacement, *others = jax.tree.map(lambda *d, by_met=by_met: sum(map(jnp.multiply, by_met, d)), *by)
+        by_conditions = jax.tree.map(jnp.add, through, by_conditions)
+        found.append((jax.tree.map(over_teeth, by_conditions, wanted), tuple(map(summed, by_displacement)), *others))
+    return found
 
 
-def _by_paths(
-    paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "2 teeth m"], by_rate, width, step_angle: float
-):
+def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "teeth m"], by_rate, width, step_angle: float):
     """From derivatives by what the chosen pass leaves: those by the paths of all passes, and by the width.
 
     `_chip.thickness` in reverse.
@@ -164,44 +183,34 @@ def _by_paths(
         by_gap = by[0] + by[2] * jnp.where(whole, 1.0, 0.5)
         return by_gap, by[1] + by[2] * jnp.where(whole, 0.0, jnp.sign(rate) * half / 2)
 
-    return tuple(map(by_path, paths, reversed(found))), jnp.sum(by_width, axis=1)
+    return tuple(map(by_path, paths, reversed(found))), summed(by_width)
 
 
-def _by_earlier(p: Process, found: Paths, by_paths):
-    """From derivatives by the paths: those by what they follow from, summed over the teeth. `_chip.paths` in reverse."""
-    earlier, (cos, sin) = p.earlier, p.angles
-    curvature, slowness = 1 / (2 * earlier.radius), 1 / earlier.tip_speed
+def _by_earlier(p: Process, wanted: Commanded, found: Paths, by_paths):
+    """From derivatives by the paths: those by the earlier motions, by the present displacement and by what else is wanted,
+    summed over the teeth. `_chip.paths` in reverse."""
+    (cos, sin), velocity = p.angles, p.earlier.velocity
+    _, feed_rate, tip_speed, radius = p.earlier.commanded
+    curvature, slowness = 1 / (2 * radius), 1 / tip_speed
     by_displacement, by_velocity = [], []
     by_feed = by_feed_rate = by_tip_speed = by_radius = jnp.zeros(())
     for k, ((_, across), (by_gap, by_across)) in enumerate(zip(found, by_paths, strict=True)):
-        vx, vy = (earlier.velocity[k, 0] + earlier.feed_rate) * slowness, earlier.velocity[k, 1] * slowness
-        by_gap = jnp.where(jnp.abs(across) < earlier.radius, by_gap, 0.0)
+        vx, vy = (velocity[k, 0] + feed_rate) * slowness, velocity[k, 1] * slowness
+        by_gap = jnp.where(jnp.abs(across) < radius, by_gap, 0.0)
         by_across = by_across + by_gap * (2 * across * curvature - (cos * vx - sin * vy))
         turning = by_gap * across
-        by_dx, by_dy, by_vx, by_vy = (
-            jnp.sum(by, axis=1)
-            for by in (
-                by_gap * cos - by_across * sin,
-                -by_gap * sin - by_across * cos,
-                -turning * cos,
-                turning * sin,
-            )
-        )
-        by_displacement.append(jnp.stack([by_dx, by_dy], axis=1))
-        by_velocity.append(jnp.stack([by_vx, by_vy], axis=1) * slowness)
+        by_dx, by_dy = summed(by_gap * cos - by_across * sin), summed(-by_gap * sin - by_across * cos)
+        by_vx, by_vy = summed(-turning * cos), summed(turning * sin)
+        by_displacement.append((by_dx, by_dy))
+        by_velocity.append((by_vx * slowness, by_vy * slowness))
         by_feed = by_feed + (k + 1) * by_dx
         by_feed_rate = by_feed_rate + by_vx * slowness
         by_tip_speed = by_tip_speed - (by_vx * vx + by_vy * vy) * slowness
-        by_radius = by_radius - jnp.sum(turning * across, axis=1) * (curvature / earlier.radius)
-    by_earlier = Earlier(
-        -jnp.stack(by_displacement, axis=1),
-        jnp.stack(by_velocity, axis=1),
-        by_feed,
-        by_feed_rate,
-        by_tip_speed,
-        by_radius,
-    )
-    return by_earlier, sum(by_displacement)
+        by_radius = by_radius - summed(turning * across) * (curvature / radius)
+    by = Commanded(by_feed, by_feed_rate, by_tip_speed, by_radius)
+    by = jax.tree.map(lambda change, b: None if change is None else b, wanted, by, is_leaf=lambda x: x is None)
+    x, y = (sum(along) for along in zip(*by_displacement, strict=True))
+    return (tuple((-dx, -dy) for dx, dy in by_displacement), tuple(by_velocity)), (x, y), by
 
 
 def _units(n: int, shape: tuple[int, ...]):

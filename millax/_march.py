@@ -19,12 +19,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._block import Conditions, Pair, Process, anywhere, difference, norm, product, solve
-from ._chip import Angles, Earlier
+from ._chip import Angles, Commanded, Earlier
 from ._contact import Borders
+from ._einsum import LONGEST
 from ._forces import ForceLaw
 from ._linear import contract, linearise, respond
 from ._math import stored
-from ._response import BlockResponse
+from ._response import BlockResponse, Motion
 from ._types import Scalar
 
 STRETCH = 1024
@@ -130,11 +131,16 @@ def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> tuple[Car
 
 def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
     """What turns displacement into force in one block of one tooth period."""
-    travelled = period * model.feed_per_tooth
-    earlier = Earlier(*past, model.feed_per_tooth, model.feed_rate, model.tip_speed, model.radius)
-    conditions = Conditions(model.law, model.depth, model.width, place.borders.moved(travelled))
-    touching, near = _within_reach(model, place, travelled, past.displacement)
-    return Process(place.angles, earlier, conditions, touching, near, step_angle=model.step_angle)
+    commanded, conditions = surroundings(model, place, period)
+    touching, near = _within_reach(model, place, period * model.feed_per_tooth, past.displacement)
+    return Process(place.angles, Earlier(*past, commanded), conditions, touching, near, step_angle=model.step_angle)
+
+
+def surroundings(model: Model, place: Place, period: Scalar) -> tuple[Commanded, Conditions]:
+    """What the force depends on beside the present and the earlier displacement of the tool."""
+    commanded = Commanded(model.feed_per_tooth, model.feed_rate, model.tip_speed, model.radius)
+    borders = place.borders.moved(period * model.feed_per_tooth)
+    return commanded, Conditions(model.law, model.depth, model.width, borders)
 
 
 @eqx.filter_custom_jvp
@@ -188,50 +194,51 @@ def _stretch_jvp(primals, tangents, *, sweeps):
     model, start, number = primals
     end, traces = stretch(model, start, number, sweeps=sweeps)
     by_model, by_start, _ = tangents
-    response, states, forces = model.response, traces.state, traces.force
+    response = model.response
 
-    def motions(motion):
-        """Of all blocks, from known states and forces."""
-        return jax.vmap(jax.vmap(motion))(states, forces)
-
-    value, extra = eqx.filter_jvp(motions, (response.motion,), (by_model.response.motion,))
-    extra = _or_zero(value, extra)
+    def changes(place, by_place, period):
+        """Of what the force depends on beside the motion of the tool."""
+        return eqx.filter_jvp(lambda model, place: surroundings(model, place, period), (model, place), (by_model, by_place))[
+            1
+        ]
 
     def linearised(inputs):
-        """Derivatives by past and present displacement in one period, and the direct effect of the model."""
+        """Derivatives by past and present displacement in one period, and by all else that changes."""
         period, past, displacement = inputs
 
         def of_block(place, by_place, past, displacement):
-            def of_model(model, place):
-                return process(model, place, past, period)
-
-            # The value is computed apart: under a derivative, `anywhere` would decide for every member on its own.
-            _, change = eqx.filter_jvp(of_model, (model, place), (by_model, by_place))
-            return linearise(of_model(model, place), change, displacement)
+            p = process(model, place, past, period)
+            return p.touching, linearise(p, changes(place, by_place, period), displacement)
 
         return jax.vmap(of_block)(model.place, by_model.place, past, displacement)
 
     pasts = remembered(start.past, traces.motion)
-    by, direct = map_periods(linearised, (number, pasts, traces.motion.displacement))
+    by = map_periods(linearised, (number, pasts, traces.motion.displacement))
 
-    position, motion = response.position.joined(), response.motion.joined()
+    # How the motion changes at a known state and force. The large matrices of long blocks are better multiplied by all at
+    # once.
+    by_response = Motion(*_or_zero(response.motion, by_model.response.motion))
+    known, extra = (traces.state, traces.force), by_response
+    if len(by_response.by_x) > LONGEST:
+        known, extra = (jax.vmap(jax.vmap(by_response))(*known),), lambda known: known
 
-    def block(change, inputs):
-        by, direct, past, extra = inputs
-        direct = direct + stored(by.touching, contract, by[:2], tuple(past))
-        free = extra + response.motion.of_state(change)
-        force = respond(by.displacement, direct, response.parted(free)[0], position, sweeps)
-        displacement, velocity, end = response.parted(free + force.ravel() @ motion)
-        return end, (change, (force[0], force[1]), Past(displacement, velocity))
+    def block(carry, inputs):
+        change, period = carry
+        (touching, by), past, known, place, by_place = inputs
+        direct = stored(touching, contract, by, past, changes(place, by_place, period))
+        free = extra(*known) + response.motion.of_state(change)
+        force = respond(by.displacement, direct, response.parted(free)[0], response.position, sweeps, touching)
+        displacement, velocity, end = response.parted(free + response.motion.of_force(force))
+        return (end, period), (change, (force[0], force[1]), Past(displacement, velocity))
 
     def tooth_period(carry, inputs):
         state, past = carry
-        by, direct, extra = inputs
-        state, traces = lax.scan(block, state, (by, direct, past, extra))
+        by, known, period = inputs
+        (state, _), traces = lax.scan(block, (state, period), (by, past, known, model.place, by_model.place))
         return (state, _shifted(past, traces[2])), traces
 
     zero = _or_zero((start.state, start.past), (by_start.state, by_start.past))
-    (state, past), (states, forces, motion) = lax.scan(tooth_period, zero, (by, direct, extra))
+    (state, past), (states, forces, motion) = lax.scan(tooth_period, zero, (by, known, number))
     nothing = jax.tree.map(jnp.zeros_like, (end[2:], traces.thickness, traces.error))
     return (end, traces), (Carry(state, past, *nothing[0]), Traces(states, forces, motion, *nothing[1:]))
 
@@ -247,7 +254,7 @@ def map_periods(function, inputs):
         return jnp.pad(x, [(0, missing)] + [(0, 0)] * (x.ndim - 1), mode="edge").reshape(-1, together, *x.shape[1:])
 
     found = lax.map(jax.vmap(function), jax.tree.map(fill, inputs))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:periods], found)
+    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:periods], found)
 
 
 def _or_zero(values, tangents):
@@ -282,7 +289,9 @@ def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[
     ahead = place.nearest[1] - gone < reach
     # Behind the tool nothing is left to cut, unless its vibration comes near the feed.
     behind = (place.nearest[0] - gone < reach) & (change > feed / 20)
-    touching = jnp.all(place.farthest - gone > -reach)
+    # Of the second part, which always holds, XLA does not know that: without it there would be no condition left in an
+    # endless workpiece, and `stored` would store nothing.
+    touching = jnp.all(place.farthest - gone > -reach) & ~(travelled < 0)
     # How far a tool that has not moved yet will give way is not known. A rigid one never does.
     unknown = moved == 0 if len(model.response.motion.free) else False
     return anywhere(touching | unknown), anywhere(jnp.any(ahead | behind) | unknown)

@@ -57,6 +57,12 @@ def stored(condition: Bool[Array, ""], function, *inputs):
     return lax.cond(condition, function, nothing, *inputs)
 
 
+def summed(x: Float[Array, "*n m"]) -> Float[Array, "*m"]:
+    """Sum over the axis before the last, written out: a sum over an axis XLA does not compute in vectors."""
+    parts = [x[..., i, :] for i in range(x.shape[-2])]
+    return sum(parts[1:], parts[0])
+
+
 _LAYOUT = {jnp.dtype("float64"): (jnp.int64, 52), jnp.dtype("float32"): (jnp.int32, 23)}
 """Integers of the same size, and how many of their bits hold the mantissa."""
 

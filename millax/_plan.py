@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Float, Int
 
 from ._case import Case
-from ._gain import SPARE, cost_in_batch, gain_kernel, sweeps_needed
+from ._gain import IN_BATCH, SPARE, gain_kernel, sweeps_needed
 from ._members import SPINDLE_SPEED, Members, member
 from ._settings import MOST_STEPS, block_options, fastest_rate, require_resolved
 
@@ -84,7 +84,7 @@ def plan(case: Case, members: Members) -> Plan:
         blocks, needed = np.ones(1, int), np.ones((len(members), 1), int)
     else:
         needed = sweeps_needed(kernel, blocks, float(case.settings.tolerance))
-    return Plan(periods, _grouped(periods, blocks, needed, functools.partial(cost_in_batch, steps, blocks)))
+    return Plan(periods, _grouped(periods, blocks, needed, functools.partial(IN_BATCH, steps, blocks)))
 
 
 def _features(case: Case, members: Members) -> list[np.ndarray]:
@@ -154,6 +154,6 @@ def _saving(a: _Part, b: _Part, cost: Callable) -> float:
     """Seconds saved by one program for both."""
 
     def seconds(part: _Part) -> float:
-        return len(part.which) * part.periods * float(cost(part.needed).min())
+        return len(part.which) * part.periods * 1e-9 * float(cost(part.needed).min())
 
     return COMPILING + seconds(a) + seconds(b) - seconds(_merged(a, b))

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._einsum import einsum
 from ._structure import Structure
 from ._types import Scalar
 
@@ -25,15 +26,11 @@ class Motion(NamedTuple):
 
     def of_state(self, state: Float[Array, " states"]) -> Float[Array, " columns"]:
         """The motion without a force."""
-        return state @ self.free
+        return einsum("k,kc->c", state, self.free)
 
     def of_force(self, force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Float[Array, " columns"]:
         """The motion that starts from rest."""
-        return force[0] @ self.by_x + force[1] @ self.by_y
-
-    def joined(self) -> Float[Array, "2*m columns"]:
-        """For forces along x and y in one."""
-        return jnp.concatenate([self.by_x, self.by_y])
+        return einsum("k,kc->c", force[0], self.by_x) + einsum("k,kc->c", force[1], self.by_y)
 
 
 class BlockResponse(NamedTuple):

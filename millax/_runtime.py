@@ -22,10 +22,16 @@ def set_up() -> None:
     """
     given = os.environ.get("XLA_FLAGS", "")
     new = [flag for flag in XLA_FLAGS if flag.split("=")[0] not in given]
-    os.environ["XLA_FLAGS"] = " ".join([*given.split(), *new])
     if new and _has_computed():
         warnings.warn("millax.set_up() comes too late for its XLA flags: JAX has computed already", stacklevel=2)
+    else:
+        os.environ["XLA_FLAGS"] = " ".join([*given.split(), *new])
     jax.config.update("jax_enable_x64", True)
+
+
+def loops_are_compiled() -> bool:
+    """Whether XLA makes one program of a loop, as after `set_up`, instead of dispatching its kernels one by one."""
+    return "xla_cpu_small_while_loop_byte_threshold" in os.environ.get("XLA_FLAGS", "")
 
 
 def _has_computed() -> bool:

@@ -9,7 +9,8 @@ import numpy as np
 from ._check import not_negative, positive
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._gain import SPARE, TOLERANCE, cost, gain_kernel, sweeps_needed
+from ._gain import COMPILED, DISPATCHED, SPARE, TOLERANCE, gain_kernel, sweeps_needed
+from ._runtime import loops_are_compiled
 from ._structure import Structure
 from ._tool import EndMill
 from ._types import Scalar, as_number
@@ -134,7 +135,8 @@ def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[in
     kernel = np.asarray(gain_kernel(tool, force, structure, cut, settings.width, settings.steps_per_tooth))
     options = np.array([blocks] if blocks else block_options(settings.steps_per_tooth))
     needed = sweeps_needed(kernel[None], options, float(settings.tolerance))[0]
-    best = int(np.argmin(cost(options, needed)))
+    cost = COMPILED if loops_are_compiled() else DISPATCHED
+    best = int(np.argmin(cost(settings.steps_per_tooth, options, needed)))
     return int(options[best]), sweeps or int(needed[best]) + SPARE
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from oracles import exact_thickness
 
-from millax._chip import Angles, Earlier, paths, thickness
+from millax._chip import Angles, Commanded, Earlier, paths, thickness
 
 RADIUS, SPEED, TEETH, FEED = 0.01, 10000 * 2 * np.pi / 60, 4, 4 / 60
 TAU = 2 * np.pi / (SPEED * TEETH)
@@ -18,10 +18,7 @@ def model_thickness(motion, velocity, t, tooth, passes):
     earlier = Earlier(
         jnp.array([motion(s) for s in times])[:, :, None],
         jnp.array([velocity(s) for s in times])[:, :, None],
-        feed_per_tooth=jnp.asarray(FEED * TAU),
-        feed_rate=jnp.asarray(FEED),
-        tip_speed=jnp.asarray(SPEED * RADIUS),
-        radius=jnp.asarray(RADIUS),
+        Commanded(*map(jnp.asarray, (FEED * TAU, FEED, SPEED * RADIUS, RADIUS))),
     )
     gap, _ = thickness(paths(angles, earlier, jnp.array(motion(t))[:, None]), jnp.asarray(0.0), 1e-6)
     return float(gap[0, 0])

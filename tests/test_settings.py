@@ -38,7 +38,7 @@ def test_stronger_coupling_asks_for_more_sweeps():
 
 def test_there_is_a_sweep_to_spare_where_the_tool_gives_way():
     stiff = mx.Structure(("x", "y"), 1000.0, 1e9, damping_ratio=0.05)
-    assert mx.Settings.suited(TOOL, LAW, stiff, CUT, 0.1).sweeps == 3  # two are expected
+    assert mx.Settings.suited(TOOL, LAW, stiff, CUT, 0.1, blocks=1).sweeps == 3  # two are expected
 
 
 def test_a_tolerance_has_to_be_positive():
