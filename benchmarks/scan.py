@@ -43,7 +43,9 @@ def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.
         commanded = Commanded(feed, cut.feed_rate, cut.spindle_speed * tool.radius, tool.radius)
         past = Earlier(before[:, :2, None], before[:, 2:, None], commanded)
         conditions = Conditions(case.force, cut.depth, s.width, met.moved((index // n) * feed))
-        process = Process(now, past, conditions, always, always, step_angle=2 * jnp.pi / (tool.teeth * n))
+        process = Process(
+            now, past, conditions, always, always, jnp.ones((tool.teeth, 1)), step_angle=2 * jnp.pi / (tool.teeth * n)
+        )
 
         def motion(force):
             return seen @ (half @ state + half_in @ force)

@@ -42,6 +42,8 @@ class Process(eqx.Module):
     """Whether a tooth may meet the stock in this block at all. Where none can, no paths are computed."""
     near: Bool[Array, ""]
     """Whether a tooth may meet a border. Where none can, that part of the model is left out."""
+    inside: Float[Array, "teeth 1"]
+    """Where none can: 1 for a tooth inside all borders, 0 for one in the air."""
     step_angle: float = eqx.field(static=True)
 
 
@@ -78,9 +80,12 @@ def found_paths(p: Process, displacement: Float[Array, "2 m"]) -> Paths:
 def contact(process: Process, conditions: Conditions, displacement, gap, rate, *, near: bool) -> Contact:
     """What the teeth meet under these conditions, near a border or far from all."""
     law, _, width, borders = conditions
-    if near and len(borders.before):
+    if not len(borders.before):
+        return inside(law, gap, rate, process.step_angle, width)
+    if near:
         return crossing(law, borders, displacement, gap, rate, process.step_angle, width, process.near)
-    return inside(law, gap, rate, process.step_angle, width)
+    tangential, thickness, turn = inside(law, gap, rate, process.step_angle, width)
+    return Contact(tangential * process.inside, thickness * process.inside, turn)
 
 
 def solve(

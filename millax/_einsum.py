@@ -34,7 +34,7 @@ def _computed(x, y, *, formula: str):
     size = dict(zip(of_x + of_y, x.shape + y.shape, strict=True))
     summed = [index for index in size if index not in of_sum]
     one_vector = x.ndim == 1 and y.ndim == 2 and len(summed) == 1
-    if one_vector or math.prod(size[index] for index in summed) > LONGEST:
+    if one_vector or not 0 < math.prod(size[index] for index in summed) <= LONGEST:
         return jnp.einsum(formula, x, y)
 
     def term(x, indices, at):

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ._cut import Cut
 from ._forces import ForceLaw
-from ._response import Motion, block_response
+from ._response import response_to_one_step
 from ._structure import Structure
 from ._tool import EndMill
 from ._types import Scalar
@@ -46,17 +46,15 @@ def gain_kernel(tool: EndMill, force: ForceLaw, structure: Structure, cut: Cut, 
     """The gain over the lag in steps [-], shape (steps,); `steps` is the number of steps per tooth period."""
     if structure.coordinates == 0:
         return jnp.zeros(steps)
-    position = block_response(structure, cut.tooth_period(tool) / steps, steps).position
-    return gain_of(tool, force, cut, width, position)
+    return gain_of(tool, force, cut, width, response_to_one_step(structure, cut.tooth_period(tool) / steps, steps))
 
 
-def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, position: Motion) -> Float[Array, " m"]:
-    """The gain over the lag in steps [-], from the response of the position."""
+def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, by_lag: Float[Array, "2 2*m"]) -> Float[Array, " m"]:
+    """The gain over the lag in steps [-], from the position after a force in one step."""
     thickness = jnp.maximum(cut.feed_per_tooth(tool), width)
     in_contact = (tool.teeth + 1) // 2
     kappa = in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2)
-    by_lag = jnp.stack([position.by_x[0], position.by_y[0]]).reshape(4, -1)
-    return kappa * jnp.linalg.norm(by_lag, axis=0)
+    return kappa * jnp.linalg.norm(by_lag.reshape(4, -1), axis=0)
 
 
 def sweeps_needed(
@@ -66,10 +64,14 @@ def sweeps_needed(
     n, steps = kernel.shape
     spectrum = np.fft.rfft(kernel, 2 * steps, axis=1)
     needed = np.ones((n, len(blocks)), dtype=int)
-    power = kernel
+    power, largest = kernel, 1.0
     for _ in range(MOST_SWEEPS - 1):
         # The largest row sum over a block is the sum of the first coefficients.
-        needed += FIRST_ERROR * np.cumsum(power, axis=1)[:, steps // blocks - 1] > tolerance
+        total = np.cumsum(power, axis=1)
+        needed += FIRST_ERROR * total[:, steps // blocks - 1] > tolerance
+        largest = max(largest, total.max())
+        if FIRST_ERROR * total.max() * largest <= tolerance:  # a later sum is at most the product of two earlier ones
+            break
         power = np.maximum(np.fft.irfft(spectrum * np.fft.rfft(power, 2 * steps, axis=1), axis=1)[:, :steps], 0.0)
     return needed
 

@@ -40,10 +40,10 @@ class Place(NamedTuple):
 
     angles: Angles
     borders: Borders
-    nearest: Float[Array, "2 borders"]
-    """Smallest distance from each border, outside is negative: of any tooth, and of those in the front half [m]."""
-    farthest: Float[Array, " borders"]
-    """Largest distance of a tooth from each border [m]."""
+    lowest: Float[Array, "2 borders teeth"]
+    """Smallest distance of each tooth from each border, outside is negative: all around, and in the front half [m]."""
+    highest: Float[Array, "2 borders teeth"]
+    """Largest distance, the same [m]."""
 
 
 class Model(NamedTuple):
@@ -132,8 +132,8 @@ def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> tuple[Car
 def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
     """What turns displacement into force in one block of one tooth period."""
     commanded, conditions = surroundings(model, place, period)
-    touching, near = _within_reach(model, place, period * model.feed_per_tooth, past.displacement)
-    return Process(place.angles, Earlier(*past, commanded), conditions, touching, near, step_angle=model.step_angle)
+    reached = _within_reach(model, place, period * model.feed_per_tooth, past.displacement)
+    return Process(place.angles, Earlier(*past, commanded), conditions, *reached, step_angle=model.step_angle)
 
 
 def surroundings(model: Model, place: Place, period: Scalar) -> tuple[Commanded, Conditions]:
@@ -278,20 +278,26 @@ def _shifted(past: Past, motion: Past) -> Past:
     return jax.tree.map(lambda old, new: jnp.concatenate([new[:, None], old[:, :-1]], axis=1), past, motion)
 
 
-def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Whether a tooth may meet the stock at all, and whether one may meet a border, judged from earlier displacements."""
+def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[Bool[Array, ""], Bool[Array, ""], Array]:
+    """Whether a tooth may meet the stock at all, whether one may meet a border, and, where none does, which teeth are inside
+    all borders: judged from earlier displacements."""
     place, travelled, feed, displacement = lax.stop_gradient((place, travelled, model.feed_per_tooth, displacement))
     newest = displacement[0]
     moved = jnp.max(jnp.abs(newest))
-    change = jnp.max(jnp.abs(newest - displacement[1])) if len(displacement) > 1 else moved
-    reach = 2 * (feed + moved)
-    gone = place.borders.normals[0].ravel() * travelled
-    ahead = place.nearest[1] - gone < reach
+    change = jnp.max(jnp.abs(displacement[1:] - newest)) if len(displacement) > 1 else moved
+    # The tool is where it was one tooth period earlier, give or take some of what it changed by.
+    reach = 2 * feed + 4 * change
+    normals = place.borders.normals[..., 0]
+    shift = normals[0] * (travelled + newest[0]) + normals[1] * newest[1]
+    lowest = place.lowest - jnp.max(shift, axis=1, keepdims=True)
+    highest = place.highest - jnp.min(shift, axis=1, keepdims=True)
+    anyone, in_front = jnp.any((lowest < reach) & (highest > -reach), axis=(1, 2))
     # Behind the tool nothing is left to cut, unless its vibration comes near the feed.
-    behind = (place.nearest[0] - gone < reach) & (change > feed / 20)
+    near = in_front | (anyone & (change > feed / 20))
+    inside = jnp.all(highest[0] > -reach, axis=0)
     # Of the second part, which always holds, XLA does not know that: without it there would be no condition left in an
     # endless workpiece, and `stored` would store nothing.
-    touching = jnp.all(place.farthest - gone > -reach) & ~(travelled < 0)
+    touching = jnp.any(inside) & ~(travelled < 0)
     # How far a tool that has not moved yet will give way is not known. A rigid one never does.
     unknown = moved == 0 if len(model.response.motion.free) else False
-    return anywhere(touching | unknown), anywhere(jnp.any(ahead | behind) | unknown)
+    return anywhere(touching | unknown), anywhere(near | unknown), inside[:, None].astype(feed.dtype)

@@ -109,8 +109,8 @@ def _quantity(case: Case, name: str) -> Quantity:
         return quantity
     if name in _NOT_VARIED:
         raise ValueError(f"{name}: {_NOT_VARIED[name]}")
-    close = difflib.get_close_matches(name, [FEED_PER_TOOTH, *valid_names(case)], n=1, cutoff=0.5)
-    if close == [FEED_PER_TOOTH]:
+    valid = valid_names(case)
+    if name not in valid and difflib.get_close_matches(name, [FEED_PER_TOOTH, *valid], n=1, cutoff=0.5) == [FEED_PER_TOOTH]:
         raise ValueError(f"{name}: unknown parameter; did you mean {FEED_PER_TOOTH}?")
     return quantity_of(case, name)
 

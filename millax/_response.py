@@ -47,6 +47,10 @@ class BlockResponse(NamedTuple):
     axes: Motion
     """Position along the axes of the structure, axes by steps [m]."""
 
+    def to_one_step(self) -> Float[Array, "2 2*m"]:
+        """As `response_to_one_step`."""
+        return jnp.stack([self.position.by_x[0], self.position.by_y[0]])
+
     def parted(self, columns: Float[Array, " columns"]) -> tuple[Array, Array, Array]:
         """The columns of `motion`: position and velocity, each of shape (2, m), and the state after the block."""
         plane = self.position.free.shape[1]
@@ -57,17 +61,7 @@ class BlockResponse(NamedTuple):
 def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockResponse:
     """The response of `structure` over `steps` steps of length `dt` [s], from the matrix exponential."""
     n = structure.coordinates
-    half_transition, half_input = _discretise(structure, dt / 2, dt)
-    transition = half_transition @ half_transition
-    step_input = half_transition @ half_input + half_input
-    # powers[j] = transition^j, by doubling: log2(m) small products instead of a loop of m.
-    powers = jnp.eye(2 * n)[None]
-    while len(powers) <= steps:
-        powers = jnp.concatenate([powers, powers @ (powers[-1] @ transition)])
-
-    to_middle = half_transition @ powers[:steps]
-    # A force in step l acts on the middle of step j > l through the rest of its own step, j - l - 1 whole ones and a half.
-    lagged = jnp.concatenate([half_input[None], to_middle[:-1] @ step_input])
+    powers, to_middle, lagged, step_input = _after_steps(structure, dt, steps)
     lag = np.arange(steps)[:, None] - np.arange(steps)[None, :]
     forced = jnp.where((lag >= 0)[:, :, None, None], lagged[np.maximum(lag, 0)], 0.0)  # (step, step of force, state, 2)
 
@@ -85,6 +79,30 @@ def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockRespons
         motion=Motion(*(_side_by_side(parts) for parts in zip(position, velocity, end, strict=True))),
         axes=observed(jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)),
     )
+
+
+def response_to_one_step(structure: Structure, dt: Scalar, steps: int) -> Float[Array, "2 2*steps"]:
+    """Position in the middle of each step, (x, y) by steps [m], after a force of 1 N along x, or y, in the first one."""
+    _, _, lagged, _ = _after_steps(structure, dt, steps)
+    seen = lagged[:, : structure.coordinates]
+    return jnp.einsum("as,jsb->baj", structure.in_plane_shapes, seen).reshape(2, -1)
+
+
+def _after_steps(structure: Structure, dt: Scalar, steps: int):
+    """The state after 0 ... `steps` steps and in the middle of each, from the state at the start; in the middle of each
+    after a force in the first one, and at the end of a step with a force."""
+    n = structure.coordinates
+    half_transition, half_input = _discretise(structure, dt / 2, dt)
+    transition = half_transition @ half_transition
+    step_input = half_transition @ half_input + half_input
+    # powers[j] = transition^j, by doubling: log2(m) small products instead of a loop of m.
+    powers = jnp.eye(2 * n)[None]
+    while len(powers) <= steps:
+        powers = jnp.concatenate([powers, powers @ (powers[-1] @ transition)])
+    to_middle = half_transition @ powers[:steps]
+    # A force in step l acts on the middle of step j > l through the rest of its own step, j - l - 1 whole ones and a half.
+    lagged = jnp.concatenate([half_input[None], to_middle[:-1] @ step_input])
+    return powers, to_middle, lagged, step_input
 
 
 def _side_by_side(parts) -> Array:

@@ -145,7 +145,7 @@ def _simulate(case: Case) -> Simulation:
         radius=tool.radius,
         place=_places(case, m),
         response=response,
-        contraction=lax.stop_gradient(jnp.sum(gain_of(tool, law, cut, settings.width, response.position))),
+        contraction=lax.stop_gradient(jnp.sum(gain_of(tool, law, cut, settings.width, response.to_one_step()))),
         tolerance=reachable(settings.tolerance, dt.dtype),
         periods=jnp.asarray(settings.periods, dt.dtype),
         step_angle=2 * np.pi / (tool.teeth * steps),
@@ -217,10 +217,13 @@ def _places(case: Case, m: int) -> Place:
     centres = [(cut.start[0] + advance * (step + end), cut.start[1]) for end in (0, 1)]
     angles = Angles(jnp.asarray(np.cos(phi[:, 0])), jnp.asarray(np.sin(phi[:, 0])))
     borders = borders_met(case.stock, tool.radius, centres, phi, step_angle)
+    # Between the ends of a step the tip moves on an arc.
     inner, outer = jnp.minimum(borders.before, borders.after), jnp.maximum(borders.before, borders.after)
+    outer = outer + tool.radius * step_angle**2 / 8
     front = np.cos(phi) > -0.5
-    nearest = jnp.stack([jnp.min(inner, axis=(2, 3)), jnp.min(jnp.where(front, inner, jnp.inf), axis=(2, 3))], axis=1)
-    return Place(angles, borders, nearest, jnp.max(outer, axis=(2, 3)))
+    lowest = [jnp.min(d, axis=3) for d in (inner, jnp.where(front, inner, jnp.inf))]
+    highest = [jnp.max(d, axis=3) for d in (outer, jnp.where(front, outer, -jnp.inf))]
+    return Place(angles, borders, jnp.stack(lowest, axis=1), jnp.stack(highest, axis=1))
 
 
 def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "steps columns"]:
