@@ -156,7 +156,15 @@ def chosen(reduce: Reduce) -> dict[str, Reduction]:
 
 def abstract(case: Case) -> Simulation:
     """The simulation of `case` as shapes and types: nothing is computed."""
-    return eqx.filter_eval_shape(lambda case: simulate(case, throw=False), case)
+    leaves, structure = jax.tree.flatten(case)
+    key = (structure, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves))
+    if key not in _ABSTRACT:
+        _ABSTRACT[key] = eqx.filter_eval_shape(lambda case: simulate(case, throw=False), case)
+    return _ABSTRACT[key]
+
+
+_ABSTRACT: dict[tuple, Simulation] = {}
+"""By what the shapes depend on: tracing a simulation takes milliseconds, as long as a small sweep does."""
 
 
 def shapes(sim: Simulation, case: Case, reductions: Mapping[str, Reduction]) -> dict[str, tuple[int, ...]]:
