@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._plan import Group
-from ._program import Work, compute
+from ._program import Computation, Work
 from ._sweepfile import Chunk
 
 if TYPE_CHECKING:
@@ -61,4 +61,4 @@ def _task(work: Work, group: Group, table: np.ndarray, periods: np.ndarray) -> d
 
     # JAX would take all cores of the machine for itself, in every worker. It reads this when it first computes.
     os.environ.setdefault("PJRT_NPROC", str(get_worker().state.nthreads))
-    return compute(work, group, table, periods)
+    return Computation(work, group, table, periods).result()

@@ -1,6 +1,7 @@
 """What a sweep computes, as text: so that results are never mixed with those of another sweep."""
 
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 from collections.abc import Mapping
@@ -23,7 +24,12 @@ def manifest_of(case: Case, members: Members, fingerprints: Mapping[str, str], *
     varied = {f"vary.{name}": _values(members, name) for name in members.names}
     kept = {f"reduce.{name}": digest for name, digest in fingerprints.items()}
     precision = "double" if x64 else "single"
-    return {"millax": importlib.metadata.version("millax"), "precision": precision, **numbers, **varied, **kept}
+    return {"millax": _version(), "precision": precision, **numbers, **varied, **kept}
+
+
+@functools.cache
+def _version() -> str:
+    return importlib.metadata.version("millax")
 
 
 def differences(old: Manifest, new: Manifest) -> list[str]:

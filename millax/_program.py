@@ -50,60 +50,72 @@ class Work:
         return hash(self.key)
 
 
-def compute(
-    work: Work,
-    group: Group,
-    table: Float[np.ndarray, "members names"],
-    periods: Int[np.ndarray, " members"],
-    devices: int = 0,
-) -> dict[str, np.ndarray]:
-    """The variables of some members of one group, each of shape (members, ...): of these values and these tooth periods.
+class Computation:
+    """The variables of some members of one group, which are being computed: of these values and these tooth periods.
 
-    Members whose sweeps have not converged are simulated again with more. Where the status of a member is not 0, its
-    variables are NaN, all but the status, the residual and the simulated time. `devices`: how many to use; 0 for all.
+    `devices`: how many to use; 0 for all. `after`: what was begun before; no more than two batches are under way at a time.
     """
-    with precision(work):
-        found = _run(work, group, table, periods, devices)
+
+    def __init__(
+        self,
+        work: Work,
+        group: Group,
+        table: Float[np.ndarray, "members names"],
+        periods: Int[np.ndarray, " members"],
+        *,
+        devices: int = 0,
+        after: "Computation | None" = None,
+    ):
+        self.of = work, group, table, periods
+        self.devices = devices
+        self.batches: list[dict[str, Array]] = []
+        begun = list(after.batches) if after else []
+        number = work.batch * (devices or jax.local_device_count())
+        with precision(work):
+            run = program(work, group, devices)
+            for start in range(0, len(table), number):
+                # The last call is filled up with copies of its last member, so that one shape is compiled.
+                which = np.minimum(np.arange(start, start + number), len(table) - 1)
+                jax.block_until_ready(begun[-2:-1])
+                begun.append(run(table[which].astype(_float(work)), periods[which].astype(np.int32)))
+                self.batches.append(begun[-1])
+
+    def result(self) -> dict[str, np.ndarray]:
+        """Each variable, of shape (members, ...).
+
+        Members whose sweeps have not converged are simulated again with more. Where the status of a member is not 0, its
+        variables are NaN, all but the status, the residual and the simulated time.
+        """
+        work, group, table, periods = self.of
+        found = self._fetched()
         for rerun in range(1, RERUNS + 1):
-            allowed = float(reachable(work.case.settings.tolerance, _float(work)))
+            with precision(work):
+                allowed = float(reachable(work.case.settings.tolerance, _float(work)))
             again = np.flatnonzero(~(found["residual"] <= allowed))
             if again.size == 0:
                 break
-            more = _run(work, group._replace(sweeps=group.sweeps * 2**rerun), table[again], periods[again], devices)
+            harder = group._replace(sweeps=group.sweeps * 2**rerun)
+            more = Computation(work, harder, table[again], periods[again], devices=self.devices)._fetched()
             for name, values in more.items():
                 found[name][again] = values
-    failed = found["status"] != 0
-    for name in found.keys() - set(OWN):
-        found[name][failed] = np.nan
-    return found
+        failed = found["status"] != 0
+        for name in found.keys() - set(OWN):
+            found[name][failed] = np.nan
+        return found
+
+    def _fetched(self) -> dict[str, np.ndarray]:
+        members = len(self.of[2])
+        return {name: np.concatenate([batch[name] for batch in self.batches])[:members] for name in self.batches[0]}
 
 
 def double_precision() -> bool:
     """Whether JAX computes in double precision here and now."""
-    return jnp.zeros(()).dtype == jnp.float64
+    return jax.dtypes.canonicalize_dtype(float) == np.float64
 
 
 def precision(work: Work):
     """A context in which JAX computes in the precision of `work`, whatever this process or thread does elsewhere."""
     return contextlib.nullcontext() if double_precision() == work.x64 else jax.enable_x64(work.x64)
-
-
-def _run(work: Work, group: Group, table, periods, devices: int) -> dict[str, np.ndarray]:
-    run = program(work, group, devices)
-    size = work.batch * (devices or jax.local_device_count())
-    parts = []
-    for start in range(0, len(table), size):
-        # The last call is filled up with copies of its last member, so that one shape is compiled.
-        which = np.minimum(np.arange(start, start + size), len(table) - 1)
-        parts.append(run(table[which].astype(_float(work)), periods[which].astype(np.int32)))
-        if len(parts) > 1:  # fetched while the next one is computed
-            parts[-2] = _fetched(parts[-2])
-    parts[-1] = _fetched(parts[-1])
-    return {name: np.concatenate([part[name] for part in parts])[: len(table)] for name in parts[0]}
-
-
-def _fetched(found) -> dict[str, np.ndarray]:
-    return {name: np.array(values) for name, values in found.items()}
 
 
 def _float(work: Work):

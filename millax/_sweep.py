@@ -20,7 +20,7 @@ from ._labels import Variable, assemble, bytes_of, variables_of, write
 from ._manifest import digest, manifest_of
 from ._members import Members, members_of
 from ._plan import Group, Plan, plan
-from ._program import BATCH, Work, compute, cores, double_precision, program
+from ._program import BATCH, Computation, Work, cores, double_precision, program
 from ._reductions import Reduce, abstract, chosen, fingerprints, shapes
 from ._simulate import SINGLE_PRECISION
 from ._sweepfile import Chunk, SweepFile, in_words, require_space
@@ -264,12 +264,20 @@ def _compute(run: _Run, todo: np.ndarray, keep: Callable[[Chunk], None], counter
 
 
 def _here(run: _Run, chunks: list[tuple[Group, np.ndarray]]) -> Generator[Chunk]:
-    """Compute chunks in this process, while the programs of later ones are compiled."""
+    """Compute chunks in this process, each begun before the one before is fetched, while the programs of later ones are
+    compiled."""
     pool = ThreadPoolExecutor(min(4, cores()), thread_name_prefix="compile")
     programs = {group: pool.submit(program, run.work, group) for group in dict.fromkeys(group for group, _ in chunks)}
+    before: tuple[np.ndarray, Computation] | None = None
     try:
         for group, which in chunks:
             programs[group].result()
-            yield {"member": which, **compute(run.work, group, run.members.table[which], run.plan.periods[which])}
+            members, periods = run.members.table[which], run.plan.periods[which]
+            now = which, Computation(run.work, group, members, periods, after=before and before[1])
+            if before:
+                yield {"member": before[0], **before[1].result()}
+            before = now
+        if before:
+            yield {"member": before[0], **before[1].result()}
     finally:
         pool.shutdown(wait=False, cancel_futures=True)

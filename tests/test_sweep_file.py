@@ -79,7 +79,7 @@ def test_the_file_holds_what_is_returned(tmp_path, expected):
 
 def test_a_finished_sweep_is_read_and_not_computed_again(tmp_path, expected, monkeypatch):
     run(tmp_path / "sweep.nc")
-    monkeypatch.setattr(_sweep, "compute", None)
+    monkeypatch.setattr(_sweep, "Computation", None)
     same(run(tmp_path / "sweep.nc"), expected)
 
 
@@ -221,7 +221,7 @@ def test_a_limit_of_the_operating_system_while_writing(tmp_path, expected):
 
 def test_too_little_room_is_said_before_anything_is_computed(tmp_path, monkeypatch):
     monkeypatch.setattr(_sweepfile.shutil, "disk_usage", lambda path: Disk(free=1000))
-    monkeypatch.setattr(_sweep, "compute", None)
+    monkeypatch.setattr(_sweep, "Computation", None)
     with pytest.raises(OSError, match=r"the disk has 1 kB free, and the sweep needs about 3\.\d+ kB"):
         run(tmp_path / "sweep.nc")
 
