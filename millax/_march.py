@@ -3,11 +3,10 @@
 The state of the structure and the passes that are remembered go from one tooth period to the next; within a period each
 block is solved at once (`_block.solve`).
 
-The derivative follows the computation, not the program. Once the motion is known, the process is linearised in all
-periods at once, and the changes then go through a linear march of their own: however many inputs there are, the process is
-differentiated once, and of the structure's matrices only their products with known states and forces change. Forward
-derivatives store nothing beyond the traces; reverse ones store the linearised process, or, in a long simulation, only the
-state at the start of every `STRETCH` periods.
+The derivative follows the computation, not the program. With the motion known, a linear march goes through the periods once
+more: in each the process is linearised once, however many inputs there are, and of the structure's matrices only their
+products with known states and forces change. Forward derivatives store nothing beyond the traces; reverse ones store the
+linearised process, or, in a long simulation, only the state at the start of every `STRETCH` periods.
 """
 
 from typing import NamedTuple
@@ -30,9 +29,6 @@ from ._types import Scalar
 
 STRETCH = 1024
 """Tooth periods between two checkpoints of the reverse derivative."""
-
-TOGETHER = 16
-"""Tooth periods linearised at once: as many as the cache takes."""
 
 
 class Place(NamedTuple):
@@ -198,22 +194,11 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
     def changes(place, by_place, period):
         """Of what the force depends on beside the motion of the tool."""
-        return eqx.filter_jvp(lambda model, place: surroundings(model, place, period), (model, place), (by_model, by_place))[
-            1
-        ]
 
-    def linearised(inputs):
-        """Derivatives by past and present displacement in one period, and by all else that changes."""
-        period, past, displacement = inputs
+        def of(model, place):
+            return surroundings(model, place, period)
 
-        def of_block(place, by_place, past, displacement):
-            p = process(model, place, past, period)
-            return p.touching, linearise(p, changes(place, by_place, period), displacement)
-
-        return jax.vmap(of_block)(model.place, by_model.place, past, displacement)
-
-    pasts = remembered(start.past, traces.motion)
-    by = map_periods(linearised, (number, pasts, traces.motion.displacement))
+        return eqx.filter_jvp(of, (model, place), (by_model, by_place))[1]
 
     # How the motion changes at a known state and force. The large matrices of long blocks are better multiplied by all at
     # once.
@@ -231,30 +216,23 @@ def _stretch_jvp(primals, tangents, *, sweeps):
         displacement, velocity, end = response.parted(free + response.motion.of_force(force))
         return (end, period), (change, (force[0], force[1]), Past(displacement, velocity))
 
+    def linearised(place, by_place, past, displacement, period):
+        p = process(model, place, past, period)
+        return p.touching, linearise(p, changes(place, by_place, period), displacement)
+
     def tooth_period(carry, inputs):
         state, past = carry
-        by, known, period = inputs
+        earlier, displacement, known, period = inputs
+        by = jax.vmap(linearised, (0, 0, 0, 0, None))(model.place, by_model.place, earlier, displacement, period)
         (state, _), traces = lax.scan(block, (state, period), (by, past, known, model.place, by_model.place))
         return (state, _shifted(past, traces[2])), traces
 
     zero = _or_zero((start.state, start.past), (by_start.state, by_start.past))
-    (state, past), (states, forces, motion) = lax.scan(tooth_period, zero, (by, known, number))
+    (state, past), (states, forces, motion) = lax.scan(
+        tooth_period, zero, (remembered(start.past, traces.motion), traces.motion.displacement, known, number)
+    )
     nothing = jax.tree.map(jnp.zeros_like, (end[2:], traces.thickness, traces.error))
     return (end, traces), (Carry(state, past, *nothing[0]), Traces(states, forces, motion, *nothing[1:]))
-
-
-def map_periods(function, inputs):
-    """`function` of every period, a few of them at a time."""
-    # lax.map with a batch size would compile the function once more for the remainder: it is filled up instead.
-    periods = len(jax.tree.leaves(inputs)[0])
-    together = min(TOGETHER, periods)
-    missing = -periods % together
-
-    def fill(x):
-        return jnp.pad(x, [(0, missing)] + [(0, 0)] * (x.ndim - 1), mode="edge").reshape(-1, together, *x.shape[1:])
-
-    found = lax.map(jax.vmap(function), jax.tree.map(fill, inputs))
-    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:periods], found)
 
 
 def _or_zero(values, tangents):

@@ -26,7 +26,7 @@ from ._contact import borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
 from ._gain import RERUNS, gain_of, reachable
-from ._march import Carry, Model, Past, Place, at_rest, map_periods, march, process, remembered
+from ._march import Carry, Model, Past, Place, at_rest, march, process, remembered
 from ._response import block_response
 from ._settings import Settings
 from ._stock import Stock
@@ -42,6 +42,9 @@ STATUS = {
 }
 """What each `Simulation.status` means and what to try."""
 
+
+TOGETHER = 16
+"""Tooth periods whose chip thickness is computed at once: as many as the cache takes."""
 
 SINGLE_PRECISION = "millax runs in float32. For full accuracy call millax.set_up() before anything else"
 """The warning of every computation in float32."""
@@ -184,7 +187,21 @@ def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods bl
         )
 
     number = jnp.arange(len(motion.velocity), dtype=model.response.position.free.dtype)
-    return map_periods(of_period, (number, remembered(start.past, motion), motion.displacement))
+    return _map_periods(of_period, (number, remembered(start.past, motion), motion.displacement))
+
+
+def _map_periods(function, inputs):
+    """`function` of every period, a few of them at a time."""
+    # lax.map with a batch size would compile the function once more for the remainder: it is filled up instead.
+    periods = len(jax.tree.leaves(inputs)[0])
+    together = min(TOGETHER, periods)
+    missing = -periods % together
+
+    def fill(x):
+        return jnp.pad(x, [(0, missing)] + [(0, 0)] * (x.ndim - 1), mode="edge").reshape(-1, together, *x.shape[1:])
+
+    found = lax.map(jax.vmap(function), jax.tree.map(fill, inputs))
+    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:periods], found)
 
 
 def status_of(force, displacement, residual, radius, tolerance) -> Int[Array, ""]:
