@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from millax import Case, simulate
 from millax._gain import MOST_SWEEPS
+from millax._runtime import double_precision
 from millax._simulate import STATUS as SIMULATION_STATUS
 
 from ._compare import Comparison, compare
@@ -81,7 +82,7 @@ def fit(
 
     Raises `ValueError` for parameters and traces that cannot be used, and where JAX is not set to float64.
     """
-    if jnp.zeros(()).dtype != jnp.float64:
+    if not double_precision():
         raise ValueError("a fit needs float64: call millax.set_up() before anything else")
     traces = [traces] if isinstance(traces, Trace) else list(traces)
     if not traces:

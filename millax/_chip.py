@@ -80,18 +80,18 @@ class Choice(NamedTuple):
 
 def thickness(paths: Paths, width: Scalar, step_angle: float) -> tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]]:
     """g_k [m] of the pass that leaves the least, negative out of contact, and e . D_k, its rate with the angle [m/rad]."""
-    gap, rate, _ = least_so_far(paths, choices(paths, width, step_angle), step_angle)[-1]
+    _, (gap, rate, _) = choices(paths, width, step_angle)
     return gap, rate
 
 
-def choices(paths: Paths, width: Scalar, step_angle: float) -> tuple[Choice, ...]:
-    """Whether the second pass and those after it leave less than all before."""
+def choices(paths: Paths, width: Scalar, step_angle: float) -> tuple[tuple[Choice, ...], tuple[Array, Array, Array]]:
+    """Whether the second pass and those after it leave less than all before; and the last of `least_so_far`."""
     least, *others = passes(paths, step_angle)
     found = []
     for other in others:
         found.append(Choice(*preferred(least[2], other[2], width)))
         least = blended(least, other, found[-1].weight)
-    return tuple(found)
+    return tuple(found), least
 
 
 def least_so_far(paths: Paths, choices: tuple[Choice, ...], step_angle: float) -> list[tuple[Array, Array, Array]]:

@@ -29,9 +29,15 @@ def _parts(formula: str) -> list[str]:
     return formula.replace("->", ",").split(",")
 
 
+def _sizes(formula: str, x, y) -> dict[str, int]:
+    """The length of the axis of every index."""
+    of_x, of_y, _ = _parts(formula)
+    return dict(zip(of_x + of_y, x.shape + y.shape, strict=True))
+
+
 def _computed(x, y, *, formula: str):
     of_x, of_y, of_sum = _parts(formula)
-    size = dict(zip(of_x + of_y, x.shape + y.shape, strict=True))
+    size = _sizes(formula, x, y)
     summed = [index for index in size if index not in of_sum]
     one_vector = x.ndim == 1 and y.ndim == 2 and len(summed) == 1
     if one_vector or not 0 < math.prod(size[index] for index in summed) <= LONGEST:
@@ -52,9 +58,8 @@ def _computed(x, y, *, formula: str):
 
 
 def _shape(x, y, *, formula: str):
-    of_x, of_y, of_sum = _parts(formula)
-    size = dict(zip(of_x + of_y, x.shape + y.shape, strict=True))
-    return x.update(shape=tuple(size[index] for index in of_sum), dtype=jnp.result_type(x, y), weak_type=False)
+    size = _sizes(formula, x, y)
+    return x.update(shape=tuple(size[index] for index in _parts(formula)[2]), dtype=jnp.result_type(x, y), weak_type=False)
 
 
 def _batched(operands, axes, *, formula: str):

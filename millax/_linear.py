@@ -3,8 +3,8 @@
 At the solution f = F(u, past, p), and u = u(f, p). So df = F_p dp + F_past dpast + F_u (du + G df), with du the change of
 the displacement at a fixed force and G the response within the block. Steps do not feel each other in F, so F has one
 derivative for each step and input. The chain rule is spelt out, from the forces back to the paths of the teeth, and the
-links are stored; what a tooth meets is differentiated automatically. Everything stays apart, each force and each axis:
-joined in one array, XLA computes them in loops that it cannot vectorise.
+links are stored; what a tooth meets is differentiated automatically. Until it is stored, everything stays apart, each force
+and each axis: joined in one array, XLA computes them in loops that it cannot vectorise.
 """
 
 from typing import NamedTuple
@@ -42,7 +42,7 @@ def linearise(p: Process, wanted: tuple[Commanded, Conditions], displacement: Fl
     """
     width = p.conditions.width
     found = found_paths(p, displacement)
-    chosen = stored(p.touching, lambda found: choices(found, width, p.step_angle), found)
+    chosen = stored(p.touching, lambda found: choices(found, width, p.step_angle)[0], found)
     gap, rate, _ = least_so_far(found, chosen, p.step_angle)[-1]
     near, far = (
         lambda gap, rate, near=near: _by_contact(p, wanted[1], displacement, gap, rate, near=near) for near in (True, False)
@@ -88,7 +88,7 @@ def respond(
     """Changes of the forces over a block that agree with the displacement they make [N].
 
     `by` are the derivatives of the forces by the present displacement, `direct` is the change of the forces at a fixed
-    displacement, `free` that of the displacement at a fixed force.
+    displacement, `free` that of the displacement at a fixed force; `touching` as in `Process`.
     """
 
     def force(displacement):

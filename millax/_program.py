@@ -18,6 +18,7 @@ from ._gain import RERUNS, reachable
 from ._members import SPINDLE_SPEED, member
 from ._plan import Group
 from ._reductions import OWN, Reduction
+from ._runtime import double_precision
 from ._simulate import Simulation, simulate, status_of
 
 BATCH = 16
@@ -106,11 +107,6 @@ class Computation:
     def _fetched(self) -> dict[str, np.ndarray]:
         members = len(self.of[2])
         return {name: np.concatenate([batch[name] for batch in self.batches])[:members] for name in self.batches[0]}
-
-
-def double_precision() -> bool:
-    """Whether JAX computes in double precision here and now."""
-    return jax.dtypes.canonicalize_dtype(float) == np.float64
 
 
 def precision(work: Work):

@@ -4,6 +4,7 @@ import os
 import warnings
 
 import jax
+import numpy as np
 
 XLA_FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
@@ -29,9 +30,16 @@ def set_up() -> None:
     jax.config.update("jax_enable_x64", True)
 
 
+def double_precision() -> bool:
+    """Whether JAX computes in double precision here and now."""
+    return jax.dtypes.canonicalize_dtype(float) == np.float64
+
+
 def loops_are_compiled() -> bool:
-    """Whether XLA makes one program of a loop, as after `set_up`, instead of dispatching its kernels one by one."""
-    return "xla_cpu_small_while_loop_byte_threshold" in os.environ.get("XLA_FLAGS", "")
+    """Whether XLA makes one program of a loop, as after `set_up` on a processor, instead of dispatching its kernels one by
+    one."""
+    asked = "xla_cpu_small_while_loop_byte_threshold" in os.environ.get("XLA_FLAGS", "")
+    return asked and jax.default_backend() == "cpu"
 
 
 def _has_computed() -> bool:

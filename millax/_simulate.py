@@ -234,9 +234,9 @@ def _places(case: Case, m: int) -> Place:
     centres = [(cut.start[0] + advance * (step + end), cut.start[1]) for end in (0, 1)]
     angles = Angles(jnp.asarray(np.cos(phi[:, 0])), jnp.asarray(np.sin(phi[:, 0])))
     borders = borders_met(case.stock, tool.radius, centres, phi, step_angle)
-    # Between the ends of a step the tip moves on an arc.
-    inner, outer = jnp.minimum(borders.before, borders.after), jnp.maximum(borders.before, borders.after)
-    outer = outer + tool.radius * step_angle**2 / 8
+    arc = tool.radius * step_angle**2 / 8  # height of the path of a tip over its chord in a step
+    inner = jnp.minimum(borders.before, borders.after) - arc
+    outer = jnp.maximum(borders.before, borders.after) + arc
     front = np.cos(phi) > -0.5
     lowest = [jnp.min(d, axis=3) for d in (inner, jnp.where(front, inner, jnp.inf))]
     highest = [jnp.max(d, axis=3) for d in (outer, jnp.where(front, outer, -jnp.inf))]

@@ -20,8 +20,9 @@ from ._labels import Variable, assemble, bytes_of, variables_of, write
 from ._manifest import digest, manifest_of
 from ._members import Members, members_of
 from ._plan import Group, Plan, plan
-from ._program import BATCH, Computation, Work, cores, double_precision, program
+from ._program import BATCH, Computation, Work, cores, program
 from ._reductions import Reduce, abstract, chosen, fingerprints, shapes
+from ._runtime import double_precision
 from ._simulate import SINGLE_PRECISION
 from ._sweepfile import Chunk, SweepFile, in_words, require_space
 from ._values import Given
