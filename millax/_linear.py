@@ -7,6 +7,7 @@ links are stored; what a tooth meets is differentiated automatically. Until it i
 and each axis: joined in one array, XLA computes them in loops that it cannot vectorise.
 """
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -40,29 +41,30 @@ def linearise(p: Process, wanted: tuple[Commanded, Conditions], displacement: Fl
     `wanted` holds the changes of the other inputs, None for one that does not change. Of the earlier motions there are
     always derivatives.
     """
-    width = p.conditions.width
     found = found_paths(p, displacement)
-    chosen = stored(p.touching, lambda found: choices(found, width, p.step_angle)[0], found)
+    chosen = stored(p.touching, lambda found: choices(found, p.conditions.width, p.step_angle)[0], found)
+    near, far = (lambda *at, near=near: _of_all(p, wanted, displacement, *at, near=near) for near in (True, False))
+    return lax.cond(p.near, near, far, found, chosen)
+
+
+def _of_all(p: Process, wanted, displacement, found: Paths, chosen: tuple[Choice, ...], *, near: bool) -> Partials:
+    """Derivatives of the forces, near a border or far from all."""
     gap, rate, _ = least_so_far(found, chosen, p.step_angle)[-1]
-    near, far = (
-        lambda gap, rate, near=near: _by_contact(p, wanted[1], displacement, gap, rate, near=near) for near in (True, False)
-    )
-    of_forces = []
-    for by_conditions, by_displacement, by_gap, by_rate in lax.cond(p.near, near, far, gap, rate):
-        by_paths, by_width = stored(
-            p.touching,
-            lambda found, chosen, by_gap, by_rate: _by_paths(found, chosen, by_gap, by_rate, width, p.step_angle),
-            found,
-            chosen,
-            by_gap,
-            by_rate,
-        )
-        past, through_paths, by_earlier = stored(p.touching, lambda *at: _by_earlier(p, wanted[0], *at), found, by_paths)
-        if by_conditions.width is not None:
-            by_conditions = by_conditions._replace(width=by_conditions.width + by_width)
-        by_displacement = jax.tree.map(jnp.add, by_displacement, through_paths)
-        of_forces.append((past, by_displacement, (by_earlier, by_conditions)))
-    return stored(p.touching, _joined, *of_forces)
+    of_met, of_forces = _by_contact(p, wanted[1], displacement, gap, rate, near=near)
+    back = functools.partial(_by_paths, width=p.conditions.width, step_angle=p.step_angle)
+    # Once for each quantity that a tooth meets, and not for each force: far from borders it is one.
+    of_met = [(*direct, *stored(p.touching, back, found, chosen, by_gap, by_rate)) for *direct, by_gap, by_rate in of_met]
+
+    def of_force(by_met, by_conditions, of_met):
+        through, by_displacement, by_paths, by_width = jax.tree.map(lambda *d: sum(map(jnp.multiply, by_met, d)), *of_met)
+        if wanted[1].width is not None:
+            through = through._replace(width=through.width + by_width)
+        by_conditions = jax.tree.map(_over_teeth, wanted[1], through, by_conditions)
+        past, through_paths, by_earlier = _by_earlier(p, wanted[0], found, by_paths)
+        by_displacement = jax.tree.map(lambda direct, through: summed(direct) + through, by_displacement, through_paths)
+        return past, by_displacement, (by_earlier, by_conditions)
+
+    return stored(p.touching, _joined, *(stored(p.touching, of_force, *by, of_met) for by in of_forces))
 
 
 def _joined(of_x, of_y) -> Partials:
@@ -126,7 +128,8 @@ def contract(by: Partials, past: tuple[Array, Array], others: tuple[Commanded, C
 
 
 def _by_contact(p: Process, wanted: Conditions, displacement, gap, rate, *, near: bool):
-    """Derivatives of each force by the wanted conditions, and by displacement, g and its rate."""
+    """Of what a tooth meets, F_t and near a border its place: derivatives of each by the wanted conditions, displacement, g
+    and its rate; and of each force by them and by the conditions."""
     teeth, m = p.angles.cos.shape
     conditions, fixed = _repeated(p.conditions, wanted, (teeth, m))
     everywhere = tuple(jnp.broadcast_to(along, (teeth, m)) for along in displacement)
@@ -140,24 +143,19 @@ def _by_contact(p: Process, wanted: Conditions, displacement, gap, rate, *, near
         tangential, turn = met if near else (*met, jnp.zeros((teeth, m)))
         return plane_force(p.angles, tangential, turn, law.kr, depth)
 
-    def of_met(*inputs):
+    def linear(*inputs):
         met_there, back = jax.vjp(met, *inputs)
         # One by one and not by vmap: with known ones and zeros, XLA leaves out most of the work.
         return met_there, [back(unit) for unit in _units(len(met_there), (teeth, m))]
 
-    met_there, by = stored(p.touching, of_met, conditions, everywhere, gap, rate)
+    met_there, of_met = stored(p.touching, linear, conditions, everywhere, gap, rate)
     _, back = jax.vjp(force, met_there, conditions)
+    return of_met, [back(unit) for unit in _units(2, (m,))]
 
-    def over_teeth(by, change):
-        return summed(by) if change.ndim < 2 else by  # all teeth share a number
 
-    found = []
-    for unit in _units(2, (m,)):
-        by_met, by_conditions = back(unit)
-        through, by_displacement, *others = jax.tree.map(lambda *d, by_met=by_met: sum(map(jnp.multiply, by_met, d)), *by)
-        by_conditions = jax.tree.map(jnp.add, through, by_conditions)
-        found.append((jax.tree.map(over_teeth, by_conditions, wanted), tuple(map(summed, by_displacement)), *others))
-    return found
+def _over_teeth(change, *by):
+    """Derivatives by a quantity that changes so: summed where all teeth share it."""
+    return sum(map(summed, by)) if change.ndim < 2 else sum(by)
 
 
 def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "teeth m"], by_rate, width, step_angle: float):
@@ -183,7 +181,7 @@ def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "te
         by_gap = by[0] + by[2] * jnp.where(whole, 1.0, 0.5)
         return by_gap, by[1] + by[2] * jnp.where(whole, 0.0, jnp.sign(rate) * half / 2)
 
-    return tuple(map(by_path, paths, reversed(found))), summed(by_width)
+    return tuple(map(by_path, paths, reversed(found))), by_width
 
 
 def _by_earlier(p: Process, wanted: Commanded, found: Paths, by_paths):

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import millax as mx
-from millax._response import block_response
+from millax._response import block_response, response_to_one_step
 
 COUPLED = mx.Structure(
     ("x", "y"),
@@ -54,6 +54,14 @@ def test_response_to_stepwise_forces(structure):
     assert np.allclose(response.axes(start, pair).reshape(-1, steps), np.asarray(position)[rows], rtol=1e-12)
     parts = response.position.of_state(start) + response.position.of_force(pair)
     assert np.allclose(parts.reshape(2, steps), position, atol=1e-14 * scale, rtol=0)
+
+
+@pytest.mark.parametrize("structure", [COUPLED, ONE], ids=["coupled", "one"])
+def test_response_to_one_step_is_the_first_row_of_the_whole(structure):
+    dt, steps = jnp.asarray(4e-5), 8
+    whole = block_response(structure, dt, steps)
+    alone = response_to_one_step(structure, dt, steps)
+    assert np.allclose(whole.to_one_step(), alone, rtol=1e-12, atol=1e-14 * np.abs(alone).max())
 
 
 def test_axial_motion_follows_from_coupling():

@@ -51,21 +51,23 @@ def start() -> dict[str, float]:
 
 
 def memory(mode: str, duration: float) -> dict[str, float]:
-    """Peak memory of a process [bytes] that takes one derivative of a simulation of `duration` [s], and the size of the
-    result [bytes]."""
+    """Peak memory of a process [bytes] that takes one derivative of a simulation of `duration` [s], the size of the result
+    [bytes], and how long it takes once compiled [s]."""
     import jax
     import jax.numpy as jnp
 
     from benchmarks.slot import slot
-    from benchmarks.speed.derivatives import GRADIENT, JACOBIAN, programs
+    from benchmarks.speed.derivatives import GRADIENT, JACOBIAN, programs, row_by_row
 
     case = slot(duration=duration)
-    result = jax.block_until_ready(programs(case)[{"reverse": GRADIENT, "forward": JACOBIAN}[mode]](jnp.ones(6)))
-    return {
-        "peak": _peak(),
-        "result": sum(leaf.nbytes for leaf in jax.tree.leaves(result)),
-        "steps": case.settings.steps,
-    }
+    functions = programs(case)
+    function = {"reverse": functions[GRADIENT], "forward": functions[JACOBIAN], "rows": row_by_row(case)}[mode]
+    result = jax.block_until_ready(function(jnp.ones(6)))
+    peak, size = _peak(), sum(leaf.nbytes for leaf in jax.tree.leaves(result))
+    del result
+    begin = time.perf_counter()
+    jax.block_until_ready(function(jnp.ones(6)))
+    return {"peak": peak, "result": size, "seconds": time.perf_counter() - begin, "steps": case.settings.steps}
 
 
 def on_all_cores(subject: str, *numbers: float) -> dict[str, float]:
@@ -99,7 +101,7 @@ if __name__ == "__main__":
         millax.set_up()
     if name == "start":
         print(json.dumps(start()))
-    elif name in ("forward", "reverse"):
+    elif name in ("forward", "rows", "reverse"):
         print(json.dumps(memory(name, *numbers)))
     else:
         print(json.dumps(on_all_cores(name, *numbers)))

@@ -28,9 +28,9 @@ def figures(run: Run):
 
 
 def _growth(run: Run, name: str, sizes, function) -> Figure:
-    functions = {str(size): function(size) for size in sizes}
-    times = interleaved(functions, max(3, run.rounds // 7))
-    seconds = [times.seconds(size) for size in functions]
+    # Each size by itself: in turn, the largest would leave nothing of the smallest in any cache.
+    rounds = max(3, run.rounds // 7)
+    seconds = [interleaved({name: function(size)}, rounds).seconds(name) for size in sizes]
     run.growth[name] = (sizes, seconds)
     p = exponent(sizes, seconds)
     jax.clear_caches()
