@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 
@@ -47,7 +48,7 @@ def show(console: Console, subject: str, figures: Iterable[Figure]) -> list[Figu
     figures = list(figures)
     for figure in figures:
         style = "bold red" if figure.met is False else None
-        table.add_row(figure.what, figure.measured, figure.target, figure.verdict, style=style)
+        table.add_row(escape(figure.what), figure.measured, figure.target, figure.verdict, style=style)
     console.print(table)
     console.print()
     return figures
