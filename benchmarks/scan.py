@@ -11,16 +11,15 @@ import jax.numpy as jnp
 from jax import lax
 
 import millax as mx
-from millax._block import Conditions, Process, cutting
-from millax._chip import Angles, Commanded, Earlier
-from millax._contact import Borders
+from millax._block import Conditions, Process, Slice, cutting
+from millax._chip import Commanded, Earlier
 from millax._simulate import _places
 
 from .compiled import discrete, observed, time_step
 
 
 def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.Array, jax.Array]]:
-    """The simulation of `case`, ready to run: force (steps, 2) [N] and displacement (steps, 2) [m].
+    """The simulation of `case` (straight and equal teeth), ready to run: force (steps, 2) [N], displacement (steps, 2) [m].
 
     `evaluations`: how often the force of a step is computed, each time with the displacement it made before.
     """
@@ -29,23 +28,21 @@ def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.
     n, kept = s.steps_per_tooth, s.passes * s.steps_per_tooth
     dt, seen = time_step(case), jnp.asarray(observed(case))
     (half, half_in), (whole, whole_in) = (map(jnp.asarray, discrete(case, t)) for t in (dt / 2, dt))
-    place = _places(whole_period, n)
-    angles, borders = jax.tree.map(lambda a: _by_step(a, n), (place.angles, place.borders))
+    slices = jax.tree.map(lambda a: _by_step(a, n), _places(whole_period, n).slices)
     earlier = n * jnp.arange(1, s.passes + 1)
     always = jnp.asarray(True)
 
     def step(carry, index):
         state, force, history = carry
         feed, place = cut.feed_per_tooth(tool), index % n
-        now: Angles = jax.tree.map(lambda a: a[place], angles)
-        met: Borders = jax.tree.map(lambda a: a[place], borders)
+        now: Slice = jax.tree.map(lambda a: a[place], slices)
+        now = now._replace(borders=now.borders.moved((index // n) * feed))
         before = history[(index - earlier) % kept]
         commanded = Commanded(feed, cut.feed_rate, cut.spindle_speed * tool.radius, tool.radius)
         past = Earlier(before[:, :2, None], before[:, 2:, None], commanded)
-        conditions = Conditions(case.force, cut.depth, s.width, met.moved((index // n) * feed))
-        process = Process(
-            now, past, conditions, always, always, jnp.ones((tool.teeth, 1)), step_angle=2 * jnp.pi / (tool.teeth * n)
-        )
+        conditions = Conditions(case.force, cut.depth, s.width)
+        inside = jnp.ones((1, tool.teeth, 1))
+        process = Process(now, past, conditions, inside, always, always, step_angle=2 * jnp.pi / (tool.teeth * n))
 
         def motion(force):
             return seen @ (half @ state + half_in @ force)
@@ -67,5 +64,5 @@ def step_by_step(case: mx.Case, evaluations: int = 2) -> Callable[[], tuple[jax.
 
 def _by_step(a, n):
     """From one block of a whole tooth period to one row per step; what does not depend on the step is repeated."""
-    a = a[0]
+    a = a[0, 0]
     return jnp.moveaxis(a, -1, 0)[..., None] if a.shape[-1] == n else jnp.broadcast_to(a, (n, *a.shape))

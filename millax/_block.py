@@ -14,43 +14,55 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._chip import Angles, Earlier, Paths, paths, thickness
-from ._contact import Borders, Contact, crossing, inside, plane_force
+from ._contact import Borders, Contact, crossing, force_on_tool, fully_inside
 from ._forces import ForceLaw
 from ._response import Motion
 from ._types import Scalar
 
-Pair = tuple[Float[Array, " m"], Float[Array, " m"]]
-"""Force along x and y in each step. Kept apart: joined in one array, XLA computes them in a loop it cannot vectorise."""
+Forces = tuple[Float[Array, " m"], ...]
+"""Force along x, y and, where the law has an axial force, z in each step. Kept apart: joined in one array, XLA computes them
+in a loop it cannot vectorise."""
 
 
 class Conditions(NamedTuple):
-    """What the force on a tooth depends on beside its path."""
+    """What the force on a tooth depends on beside its path and the borders."""
 
     law: ForceLaw
     depth: Scalar
+    """Of a slice [m]."""
     width: Scalar
+
+
+class Slice(NamedTuple):
+    """A slice of the tool, straight-fluted: what makes it different from the others."""
+
+    angles: Angles
+    excess: Float[Array, "passes teeth 1"] | None
+    """See `Commanded`."""
     borders: Borders
 
 
 class Process(eqx.Module):
     """Everything that turns the tool's displacement in a block into the cutting force."""
 
-    angles: Angles
+    slices: Slice
+    """All slices of the tool, along the first axis."""
     earlier: Earlier
+    """Without the excess, which is the slices' own."""
     conditions: Conditions
+    inside: Float[Array, "slices teeth 1"]
+    """Where no tooth may meet a border: 1 for a tooth inside all borders, 0 for one in the air."""
     touching: Bool[Array, ""]
     """Whether a tooth may meet the stock in this block at all. Where none can, no paths are computed."""
     near: Bool[Array, ""]
     """Whether a tooth may meet a border. Where none can, that part of the model is left out."""
-    inside: Float[Array, "teeth 1"]
-    """Where none can: 1 for a tooth inside all borders, 0 for one in the air."""
     step_angle: float = eqx.field(static=True)
 
 
 class Solution(NamedTuple):
     """What happens over a block."""
 
-    force: Pair
+    force: Forces
     """On the tool [N]."""
     thickness: Float[Array, "teeth m"]
     """Mean chip thickness of each tooth [m]."""
@@ -60,39 +72,58 @@ class Solution(NamedTuple):
     """By how much the second sweep made the error smaller, or what was expected of it [-]."""
 
 
-def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Pair, Float[Array, "teeth m"]]:
-    """Mean force on the tool in each step [N], and the mean chip thickness of each tooth [m]."""
+def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Forces, Float[Array, "teeth m"]]:
+    """Mean force on the tool in each step [N], and the mean chip thickness of each tooth [m], over all slices."""
     p = process
-    gap, rate = thickness(found_paths(p, displacement), p.conditions.width, p.step_angle)
 
-    near, far = (lambda *at, near=near: contact(p, p.conditions, *at, near=near) for near in (True, False))
-    met = lax.cond(p.near, near, far, displacement, gap, rate)
-    return plane_force(p.angles, met.tangential, met.turn, p.conditions.law.kr, p.conditions.depth), met.thickness
+    def of_slice(own, inside):
+        gap, rate = thickness(found_paths(p, own, displacement), p.conditions.width, p.step_angle)
+        near, far = (lambda *at, near=near: contact(p, own, inside, p.conditions, *at, near=near) for near in (True, False))
+        met = lax.cond(p.near, near, far, displacement, gap, rate)
+        law, depth, _ = p.conditions
+        return force_on_tool(own.angles, met.tangential, met.engaged, met.turn, law, depth), met.thickness
+
+    forces, found = of_slices(of_slice, p.slices, p.inside)
+    return tuple(added(force) for force in forces), added(found) / len(found)
 
 
-def found_paths(p: Process, displacement: Float[Array, "2 m"]) -> Paths:
+def of_slices(function, *slices):
+    """`function` of every slice, its results along the first axis: a helical tool is a stack of straight ones."""
+    if len(jax.tree.leaves(slices)[0]) == 1:
+        return jax.tree.map(lambda x: x[None], function(*jax.tree.map(lambda x: x[0], slices)))
+    return jax.vmap(function)(*slices)
+
+
+def added(x: Float[Array, "slices ..."]) -> Float[Array, "..."]:
+    """Sum over the slices."""
+    return x[0] if len(x) == 1 else jnp.sum(x, axis=0)
+
+
+def found_paths(p: Process, own: Slice, displacement: Float[Array, "2 m"]) -> Paths:
     """The paths of the teeth relative to earlier ones; in air, far away from everything."""
-    air = jnp.broadcast_to(-p.earlier.commanded.radius, p.angles.cos.shape)
+    air = jnp.broadcast_to(-p.earlier.commanded.radius, own.angles.cos.shape)
     nothing = tuple((air, jnp.zeros_like(air)) for _ in p.earlier.displacement)
-    return lax.cond(p.touching, lambda *at: paths(p.angles, *at), lambda *_: nothing, p.earlier, displacement)
+    earlier = p.earlier._replace(commanded=p.earlier.commanded._replace(excess=own.excess))
+    return lax.cond(p.touching, paths, lambda *_: nothing, own.angles, earlier, displacement)
 
 
-def contact(process: Process, conditions: Conditions, displacement, gap, rate, *, near: bool) -> Contact:
-    """What the teeth meet under these conditions, near a border or far from all."""
-    law, _, width, borders = conditions
-    if not len(borders.before):
-        return inside(law, gap, rate, process.step_angle, width)
-    if near:
-        return crossing(law, borders, displacement, gap, rate, process.step_angle, width, process.near)
-    tangential, thickness, turn = inside(law, gap, rate, process.step_angle, width)
-    return Contact(tangential * process.inside, thickness * process.inside, turn)
+def contact(p: Process, own: Slice, inside, conditions: Conditions, displacement, gap, rate, *, near: bool) -> Contact:
+    """What the teeth of a slice meet under these conditions, near a border or far from all."""
+    law, _, width = conditions
+    if len(own.borders.before) and near:
+        return crossing(law, own.borders, displacement, gap, rate, p.step_angle, width, p.near)
+    met = fully_inside(law, gap, rate, p.step_angle, width)
+    if not len(own.borders.before):
+        return met
+    engaged = None if met.engaged is None else met.engaged * inside
+    return Contact(met.tangential * inside, engaged, jnp.zeros_like(gap), met.thickness * inside)
 
 
 def solve(
     process: Process,
     position: Motion,
     free: Float[Array, "2 m"],
-    guess: Pair,
+    guess: Forces,
     *,
     contraction: Scalar,
     allowed: Scalar,
@@ -126,22 +157,23 @@ def solve(
         return new, chip, change, contraction, error, count + 1
 
     nothing = jnp.zeros_like(contraction)
-    start = (guess, jnp.zeros_like(process.angles.cos), nothing, contraction, jnp.full_like(nothing, jnp.inf), 0)
+    start = (guess, jnp.zeros_like(process.slices.angles.cos[0]), nothing, contraction, jnp.full_like(nothing, jnp.inf), 0)
     force, chip, _, contraction, error, _ = lax.while_loop(more, sweep, start)
     return Solution(force, chip, error, contraction)
 
 
-def difference(a: Pair, b: Pair) -> Pair:
+def difference(a: Forces, b: Forces) -> Forces:
     """a - b."""
-    return a[0] - b[0], a[1] - b[1]
+    return tuple(x - y for x, y in zip(a, b, strict=True))
 
 
-def product(a: Pair, b: Pair) -> Scalar:
+def product(a: Forces, b: Forces) -> Scalar:
     """Sum of the products over a block."""
-    return jnp.vdot(a[0], b[0]) + jnp.vdot(a[1], b[1])
+    first, *others = (jnp.vdot(x, y) for x, y in zip(a, b, strict=True))
+    return sum(others, first)
 
 
-def norm(force: Pair) -> Scalar:
+def norm(force: Forces) -> Scalar:
     """Root of the sum of squares over a block."""
     return jnp.sqrt(product(force, force))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
+from ._tool import STEEPEST
 from ._types import AXES
 from ._units import EXPONENT, parse, show
 
@@ -42,6 +43,7 @@ _SHAPES = {
     "number": (lambda v: v.ndim == 0, "one number"),
     "point": (lambda v: v.shape == (2,), "a list of two numbers"),
     "interval": (lambda v: v.shape == (2,) and v[0] < v[1], "a list of two numbers, the smaller first"),
+    "list": (lambda v: v.ndim == 1, "a list with one number per tooth"),
     "array": (lambda v: v.ndim <= 2, "one number, a list with one per coordinate, or a matrix as a list of rows"),
     "matrix": (lambda v: v.ndim == 2, "a matrix as a list of rows"),
 }
@@ -155,23 +157,40 @@ LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear": Linear
 
 FORCE: dict[str, Section] = {
     "fractional": _force(
-        k0=Quantity("N/m^2", POSITIVE), hs=Quantity("m", POSITIVE), r=Quantity("", NOT_NEGATIVE), kr=Quantity("")
+        k0=Quantity("N/m^2", POSITIVE),
+        hs=Quantity("m", POSITIVE),
+        r=Quantity("", NOT_NEGATIVE),
+        kr=Quantity(""),
+        ka=Quantity("", required=False),
     ),
     "linear": _force(
         kt=Quantity("N/m^2", POSITIVE),
         kr=Quantity(""),
         ke=Quantity("N/m", NOT_NEGATIVE, required=False),
+        ka=Quantity("", required=False),
+        kre=Quantity("N/m", required=False),
+        kae=Quantity("N/m", required=False),
     ),
     "exponential": _force(
         kf=Quantity(f"N/m^{EXPONENT}", POSITIVE),
         m=Quantity("", Range(0, 1, closed=False)),
         kr=Quantity(""),
+        ka=Quantity("", required=False),
     ),
 }
 """The keys of [force], which depend on the law."""
 
 SECTIONS: dict[str, Section] = {
-    "tool": Section({"diameter": Quantity("m", POSITIVE), "teeth": Whole(1)}),
+    "tool": Section(
+        {
+            "diameter": Quantity("m", POSITIVE),
+            "teeth": Whole(1),
+            "helix": Quantity("rad", Range(0, STEEPEST), required=False),
+            "runout": Quantity("m", ANY, "list", required=False),
+            "offset": Quantity("m", NOT_NEGATIVE, required=False),
+            "offset_angle": Quantity("rad", required=False),
+        }
+    ),
     "force": Section({"law": Choice(tuple(LAWS))}),
     "cut": Section(
         {
@@ -208,6 +227,7 @@ SECTIONS: dict[str, Section] = {
             "duration": Quantity("s", POSITIVE, parameter=False),
             "steps_per_tooth": Whole(10, required=False),
             "passes": Whole(1, required=False),
+            "slices": Whole(1, required=False),
             "width": Quantity("m", NOT_NEGATIVE, required=False, parameter=False),
             "blocks": Whole(1, required=False),
             "sweeps": Whole(1, required=False),

@@ -39,7 +39,7 @@ def leaves(tables: Mapping[str, Any], sections: Mapping[str, Section]) -> dict[s
         for key, kind in sections[section].keys.items() if section in sections else ():
             if isinstance(kind, Quantity) and kind.parameter and key in table:
                 for index, given in _items(table[key]):
-                    name = ".".join((section, key, *_labels(index, table)))
+                    name = ".".join((section, key, *_labels(section, index, table)))
                     unit = kind.unit if EXPONENT in kind.unit else written_unit(given, kind.unit)
                     value = parse(name, *kind.resolved(given, table))
                     found[name] = Leaf((section, key), index, value, unit, kind.unit)
@@ -72,8 +72,8 @@ def _items(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int,
         yield index, value
 
 
-def _labels(index: tuple[int, ...], table: Mapping[str, Any]) -> list[str]:
-    """Names of the axes where there is one number per axis, and numbers for rows, columns and coordinates."""
-    if len(index) == 1 and "mode_shapes" not in table:
+def _labels(section: str, index: tuple[int, ...], table: Mapping[str, Any]) -> list[str]:
+    """Names of the axes where there is one number per axis, and numbers for rows, columns, coordinates and teeth."""
+    if len(index) == 1 and section != "tool" and "mode_shapes" not in table:
         return [table.get("axes", AXES)[index[0]]]
     return [str(i) for i in index]

@@ -6,8 +6,9 @@ surface is
 
     g_k = n . D_k + (e . D_k)²/(2 R) - (n . c'(t - k tau)) (e . D_k)/(Omega R),        e = dn/dphi,
 
-with c' the whole velocity, feed included, and the chip thickness is h = max(0, min_k g_k). Against exact tooth paths the
-force error is 0.007 % in a nominal slot. Passes with abs(e . D_k) >= R are skipped: the two circles do not meet there.
+with c' the whole velocity, feed included, and the chip thickness is h = max(0, min_k g_k). Of unequal teeth, R_i - R_j is
+added to g_k. Against exact tooth paths the force error is 0.007 % in a nominal slot. Passes with abs(e . D_k) >= R are
+skipped: the two circles do not meet there.
 
 The earlier passes are known while a block is computed; the present displacement changes with every sweep.
 """
@@ -36,6 +37,8 @@ class Commanded(NamedTuple):
     tip_speed: Scalar
     """Omega R [m/s]."""
     radius: Scalar
+    excess: Float[Array, "passes teeth 1"] | None = None
+    """R_i - R_{i + k}: by how much each tooth reaches farther than the one of the earlier pass [m]; None for equal teeth."""
 
 
 class Earlier(NamedTuple):
@@ -54,7 +57,7 @@ Paths = tuple[tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]], ...]
 
 def paths(angles: Angles, earlier: Earlier, displacement: Float[Array, "2 m"]) -> Paths:
     """How far the tip of each tooth is from the surfaces left by the earlier passes."""
-    feed_per_tooth, feed_rate, tip_speed, radius = earlier.commanded
+    feed_per_tooth, feed_rate, tip_speed, radius, excess = earlier.commanded
     curvature, slowness = 1 / (2 * radius), 1 / tip_speed
     found = []
     for k in range(len(earlier.displacement)):
@@ -65,6 +68,7 @@ def paths(angles: Angles, earlier: Earlier, displacement: Float[Array, "2 m"]) -
         across = -angles.sin * dx - angles.cos * dy
         slope = angles.cos * vx - angles.sin * vy
         gap = angles.cos * dx - angles.sin * dy + across * (across * curvature - slope)
+        gap = gap if excess is None else gap + excess[k]
         found.append((jnp.where(jnp.abs(across) < radius, gap, radius), across))
     return tuple(found)
 

@@ -13,11 +13,10 @@ of which the tooth meets clip(x, 0, h). With the law's integral W the mean of F_
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ._chip import Angles
-from ._forces import ForceLaw, work
+from ._forces import UNIT, ForceLaw, work
 from ._math import half_change, minimum, positive_part, stored
 from ._stock import Stock
 from ._types import Scalar
@@ -41,27 +40,28 @@ class Borders(NamedTuple):
 
     def moved(self, x: Scalar) -> "Borders":
         """The borders as they are met after a feed of x [m]."""
-        nearer = self.normals[0] * x
+        nearer = self.normals[..., 0, :, :, :] * x
         return self._replace(before=self.before - nearer, after=self.after - nearer)
 
 
-def borders_met(stock: Stock, radius: Scalar, centres, phi: np.ndarray, step_angle: float) -> Borders:
-    """The borders met by teeth at the angles `phi` in the middle of each step, shape (blocks, 1, teeth, m).
+def borders_met(stock: Stock, radius, centres, phi, step_angle: float) -> Borders:
+    """The borders met by teeth at the angles `phi` in the middle of each step, shape (..., 1, teeth, m).
 
-    `centres` are the tool centres at the start and the end of each step: two pairs (x, y) [m] that broadcast with `phi`.
+    `radius` is that of each tooth, `centres` are the tool centres at the start and the end of each step, two pairs [m]; they
+    broadcast with `phi`.
     """
     nx, ny = stock.normals.T[:, :, None, None]
-    across = nx * np.cos(phi) - ny * np.sin(phi)
+    across = nx * jnp.cos(phi) - ny * jnp.sin(phi)
     # A ray nearly parallel to a border meets it in a step whose length does not matter.
     steepness = 1 / jnp.sqrt(across**2 + 1e-6)
 
     def inside(centre, angle):
         x, y = centre
-        towards = nx * np.cos(angle) - ny * np.sin(angle)
+        towards = nx * jnp.cos(angle) - ny * jnp.sin(angle)
         return stock.offsets[:, None, None] - nx * x - ny * y - radius * towards
 
     return Borders(
-        normals=jnp.broadcast_to(stock.normals.T[:, :, None, None], (len(phi), 2, len(stock.normals), 1, 1)),
+        normals=jnp.broadcast_to(stock.normals.T[:, :, None, None], (*phi.shape[:-3], 2, len(stock.normals), 1, 1)),
         before=inside(centres[0], phi - step_angle / 2),
         after=inside(centres[1], phi + step_angle / 2),
         steepness=steepness,
@@ -75,17 +75,19 @@ class Contact(NamedTuple):
 
     tangential: Float[Array, "teeth m"]
     """F_t per unit of axial depth [N/m]."""
+    engaged: Float[Array, "teeth m"] | None
+    """Part of the step in contact [-]; None where no force depends on it."""
+    turn: Float[Array, "teeth m"] | None
+    """Angle by which the middle of the part in contact lies past the middle of the step [rad]; None: in the middle."""
     thickness: Float[Array, "teeth m"]
     """Chip thickness [m]."""
-    turn: Float[Array, "teeth m"]
-    """Angle by which the middle of the part in contact lies past the middle of the step [rad]."""
 
 
-def inside(law: ForceLaw, gap, rate, step_angle: float, width: Scalar) -> Contact:
+def fully_inside(law: ForceLaw, gap, rate, step_angle: float, width: Scalar) -> Contact:
     """Mean force and thickness in each step of teeth that meet no border; arguments as in `crossing`."""
     half = half_change(rate, step_angle, width)
-    h = positive_part(gap, half)
-    return Contact(_mean_force(law, gap, half), h, jnp.zeros_like(h))
+    engaged = None if law.own_edges is None else _mean_force(UNIT, gap, half)
+    return Contact(_mean_force(law, gap, half), engaged, None, positive_part(gap, half))
 
 
 def crossing(
@@ -135,7 +137,9 @@ def crossing(
 
     h, start, end = stored(near, passage, borders, displacement, gap, rate, width)
     ramp_low, ramp_high, part, per_length, mean, turn = stored(near, parts, h, start, end, rate, width)
-    return Contact(forces(law, gap, rate, turn, ramp_low, ramp_high, part, per_length, width), mean, turn)
+    met = gap, rate, turn, ramp_low, ramp_high, part, per_length, width
+    engaged = None if law.own_edges is None else forces(UNIT, *met)
+    return Contact(forces(law, *met), engaged, turn, mean)
 
 
 def _raise(start, end, bulge):
@@ -163,12 +167,18 @@ def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, 
     return nearest
 
 
-def plane_force(
-    angles: Angles, tangential: Float[Array, "teeth m"], turn: Float[Array, "teeth m"], kr: Scalar, depth: Scalar
-) -> tuple[Array, Array]:
-    """Forces on the tool along x and y, summed over the teeth (E 29) [N], each of shape (m,); arguments as in `Contact`."""
-    cos = angles.cos - angles.sin * turn
-    sin = angles.sin + angles.cos * turn
+def force_on_tool(angles: Angles, tangential, engaged, turn, law: ForceLaw, depth: Scalar) -> tuple[Array, ...]:
+    """Forces on the tool along x and y (E 29), and z where the law has an axial force, summed over the teeth [N], each of
+    shape (m,); `tangential`, `engaged` and `turn` as in `Contact`."""
+    cos, sin = angles
+    if turn is not None:
+        cos, sin = cos - sin * turn, sin + cos * turn
     tangential = depth * tangential
-    radial = kr * tangential
-    return jnp.sum(tangential * sin - radial * cos, axis=0), jnp.sum(tangential * cos + radial * sin, axis=0)
+    radial = law.kr * tangential
+    axial = None if law.ka is None else law.ka * tangential
+    if engaged is not None and law.own_edges is not None:
+        of_radial, of_axial = law.own_edges
+        radial = radial + depth * of_radial * engaged
+        axial = None if axial is None else axial + depth * of_axial * engaged
+    in_plane = tangential * sin - radial * cos, tangential * cos + radial * sin
+    return tuple(jnp.sum(along, axis=0) for along in (in_plane if axial is None else (*in_plane, axial)))

@@ -3,7 +3,8 @@
 The engine needs of a law only its integral W, the cutting work: the mean force over a step in which the thickness grows
 from a to b is W(a, b)/(b - a), exactly, whatever the law does in between. That mean is what smooths the laws: a jump of
 the edge force or an infinite slope at h = 0 is spread over the change of thickness within a step, and at least over the
-width of `Settings`. The radial force is F_r = k_r F_t (E 28).
+width of `Settings`. The radial force is F_r = k_r F_t (E 28), the axial one F_a = k_a F_t; with edge forces of their own,
+radial and axial force have another share of the edge force than of the rest, and only that one.
 """
 
 import abc
@@ -15,13 +16,18 @@ from jaxtyping import Array, Float
 
 from ._check import finite, not_negative, positive
 from ._math import log1p
-from ._types import Scalar, as_number
+from ._types import Scalar, as_number, optional
 
 
 class ForceLaw(eqx.Module):
-    """F_t per unit of axial depth [N/m] as a function of chip thickness h [m], and k_r = F_r/F_t."""
+    """F_t per unit of axial depth [N/m] as a function of chip thickness h [m], k_r = F_r/F_t and k_a = F_a/F_t.
+
+    F_r pushes the tool away from the tooth, F_a along +z, up its axis. k_a is negative where the helix pulls the tool out of
+    its holder, as a right-handed one does. None: there is no axial force, and none is computed.
+    """
 
     kr: eqx.AbstractVar[Scalar]
+    ka: eqx.AbstractVar[Scalar | None]
 
     @abc.abstractmethod
     def tangential(self, h: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -30,6 +36,11 @@ class ForceLaw(eqx.Module):
     @abc.abstractmethod
     def work(self, low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
         """W, the integral of F_t from h = low to h = high [N], for 0 <= low <= high [m]."""
+
+    @property
+    def own_edges(self) -> tuple[Scalar, Scalar] | None:
+        """What F_r and F_a are beyond k_r F_t and k_a F_t wherever a tooth is in contact [N/m], None for nothing."""
+        return None
 
 
 @eqx.filter_custom_jvp
@@ -54,7 +65,10 @@ def _work_jvp(primals, tangents):
 
 
 class LinearLaw(ForceLaw):
-    """F_t = k_T h + k_E for h > 0 (E 24).
+    """F_t = k_T h + k_E for h > 0 (E 24), and by default F_r = k_r F_t, F_a = k_a F_t.
+
+    With `kre` or `kae` the forces are those of the linear edge model (Budak, Altintas and Armarego 1996),
+    F_r = k_r k_T h + k_rE and F_a = k_a k_T h + k_aE: its K_tc, K_rc, K_ac are k_T, k_r k_T, k_a k_T.
 
     **Arguments:**
 
@@ -62,16 +76,35 @@ class LinearLaw(ForceLaw):
     - `kr`: radial over tangential force k_r [-].
     - `ke`: edge coefficient k_E [N/m], >= 0. With an edge force the gradient of the smoothed force is continuous only
       piecewise.
+    - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
+    - `kre`: radial edge coefficient k_rE [N/m]; None is k_r k_E.
+    - `kae`: axial edge coefficient k_aE [N/m], along +z like F_a; None is k_a k_E. Needs `ka`.
     """
 
     kt: Scalar = eqx.field(converter=as_number)
     kr: Scalar = eqx.field(converter=as_number)
     ke: Scalar = eqx.field(converter=as_number, default=0.0)
+    ka: Scalar | None = eqx.field(converter=optional, default=None)
+    kre: Scalar | None = eqx.field(converter=optional, default=None)
+    kae: Scalar | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         positive("force.kt", self.kt, "N/m^2")
         not_negative("force.ke", self.ke, "N/m")
         finite("force.kr", self.kr, "")
+        if self.kae is not None and self.ka is None:
+            raise ValueError("force.kae: given without force.ka; give both, ka = 0 if the axial force is of the edge alone")
+        _finite_if_given(self, "ka", "kre", "kae")
+
+    @property
+    def own_edges(self):
+        if self.kre is None and self.kae is None:
+            return None
+        radial, axial = self.kr * self.ke, 0.0 if self.ka is None else self.ka * self.ke
+        return (
+            jnp.zeros(()) if self.kre is None else self.kre - radial,
+            jnp.zeros(()) if self.kae is None else self.kae - axial,
+        )
 
     def tangential(self, h):
         return self.kt * h + self.ke
@@ -88,16 +121,19 @@ class ExponentialLaw(ForceLaw):
     - `kf`: k_F [N/m^(1 + m)], > 0: the force per unit depth at h = 1 m.
     - `m`: exponent [-], > 0 (E: < 1). The slope at h = 0, infinite for m < 1, is finite in the step mean.
     - `kr`: radial over tangential force k_r [-].
+    - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
     """
 
     kf: Scalar = eqx.field(converter=as_number)
     m: Scalar = eqx.field(converter=as_number)
     kr: Scalar = eqx.field(converter=as_number)
+    ka: Scalar | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         positive("force.kf", self.kf, "N/m^(1+m)")
         positive("force.m", self.m, "")
         finite("force.kr", self.kr, "")
+        _finite_if_given(self, "ka")
 
     def tangential(self, h):
         return self.kf * h**self.m
@@ -117,18 +153,21 @@ class FractionalLaw(ForceLaw):
     - `hs`: chip thickness h_s at which the law bends [m], > 0.
     - `r`: k_inf/k_0 [-], >= 0 (E: < 1).
     - `kr`: radial over tangential force k_r [-].
+    - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
     """
 
     k0: Scalar = eqx.field(converter=as_number)
     hs: Scalar = eqx.field(converter=as_number)
     r: Scalar = eqx.field(converter=as_number)
     kr: Scalar = eqx.field(converter=as_number)
+    ka: Scalar | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         positive("force.k0", self.k0, "N/m^2")
         positive("force.hs", self.hs, "m")
         not_negative("force.r", self.r, "")
         finite("force.kr", self.kr, "")
+        _finite_if_given(self, "ka")
 
     def tangential(self, h):
         u = h / self.hs
@@ -140,3 +179,26 @@ class FractionalLaw(ForceLaw):
         # log1p of the ratio, not a difference of logarithms: short steps lose no digits.
         area = self.r * step * (u + step / 2) + (1 - self.r) * (step - log1p(step / (1 + u)))
         return self.k0 * self.hs**2 * area
+
+
+class UnitLaw(ForceLaw):
+    """F_t = 1 N/m wherever there is contact: its mean over a step is the part of the step in contact."""
+
+    kr: Scalar = eqx.field(converter=as_number, default=0.0)
+    ka: Scalar | None = None
+
+    def tangential(self, h):
+        return jnp.ones_like(h)
+
+    def work(self, low, high):
+        return high - low
+
+
+UNIT = UnitLaw()
+"""Only to be integrated."""
+
+
+def _finite_if_given(law: ForceLaw, *names: str) -> None:
+    for name in names:
+        if getattr(law, name) is not None:
+            finite(f"force.{name}", getattr(law, name), "N/m" if name.endswith("e") else "")

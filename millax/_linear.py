@@ -16,77 +16,102 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._block import Conditions, Process, contact, found_paths
-from ._chip import Choice, Commanded, Paths, choices, least_so_far, passes
-from ._contact import plane_force
+from ._block import Conditions, Process, Slice, added, contact, found_paths, of_slices
+from ._chip import Angles, Choice, Commanded, Paths, choices, least_so_far, passes
+from ._contact import force_on_tool
 from ._einsum import einsum
 from ._math import stored, summed
 from ._response import Motion
 
 
-class Partials(NamedTuple):
-    """Derivatives of the forces along x and y (first axis) in each step, by what belongs to the same step."""
+class Others(NamedTuple):
+    """What the forces depend on beside the displacements of the tool."""
 
-    past: tuple[Float[Array, "2 2*passes m"], Float[Array, "2 2*passes m"]]
+    slices: Slice
+    commanded: Commanded
+    """Without the excess, which is the slices' own."""
+    conditions: Conditions
+
+
+class Partials(NamedTuple):
+    """Derivatives of the forces along x, y and z (first axis) in each step, by what belongs to the same step."""
+
+    past: tuple[Float[Array, "forces 2*passes m"], Float[Array, "forces 2*passes m"]]
     """By the displacement [N/m] and the velocity [N s/m] in the earlier passes."""
-    displacement: Float[Array, "2 2 m"]
+    displacement: Float[Array, "forces 2 m"]
     """By the present displacement [N/m]."""
-    others: tuple[Commanded, Conditions]
+    others: Others
     """By all else that changes, its own axes between the first and the last; None for what does not change."""
 
 
-def linearise(p: Process, wanted: tuple[Commanded, Conditions], displacement: Float[Array, "2 m"]) -> Partials:
-    """Derivatives of the forces along x and y.
+def linearise(p: Process, wanted: Others, displacement: Float[Array, "2 m"]) -> Partials:
+    """Derivatives of the forces.
 
     `wanted` holds the changes of the other inputs, None for one that does not change. Of the earlier motions there are
     always derivatives.
     """
-    found = found_paths(p, displacement)
-    chosen = stored(p.touching, lambda found: choices(found, p.conditions.width, p.step_angle)[0], found)
-    near, far = (lambda *at, near=near: _of_all(p, wanted, displacement, *at, near=near) for near in (True, False))
-    return lax.cond(p.near, near, far, found, chosen)
+
+    def of_slice(own, inside, by_own):
+        found = found_paths(p, own, displacement)
+        chosen = stored(p.touching, lambda found: choices(found, p.conditions.width, p.step_angle)[0], found)
+        near, far = (
+            lambda *at, near=near: _of_slice(p, own, inside, wanted._replace(slices=by_own), displacement, *at, near=near)
+            for near in (True, False)
+        )
+        return lax.cond(p.near, near, far, found, chosen)
+
+    by = of_slices(of_slice, p.slices, p.inside, wanted.slices)
+    own = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), by.others.slices)  # the force first, then the slice
+    past, at_present, others = jax.tree.map(added, by._replace(others=by.others._replace(slices=None)))
+    return Partials(past, at_present, others._replace(slices=own))
 
 
-def _of_all(p: Process, wanted, displacement, found: Paths, chosen: tuple[Choice, ...], *, near: bool) -> Partials:
-    """Derivatives of the forces, near a border or far from all."""
+def _of_slice(p: Process, own, inside, wanted: Others, displacement, found: Paths, chosen, *, near: bool) -> Partials:
+    """Derivatives of the forces of a slice, near a border or far from all."""
     gap, rate, _ = least_so_far(found, chosen, p.step_angle)[-1]
-    of_met, of_forces = _by_contact(p, wanted[1], displacement, gap, rate, near=near)
+    of_met, of_forces = _by_contact(p, own, inside, wanted, displacement, gap, rate, near=near)
     back = functools.partial(_by_paths, width=p.conditions.width, step_angle=p.step_angle)
     # Once for each quantity that a tooth meets, and not for each force: far from borders it is one.
     of_met = [(*direct, *stored(p.touching, back, found, chosen, by_gap, by_rate)) for *direct, by_gap, by_rate in of_met]
 
-    def of_force(by_met, by_conditions, of_met):
+    def of_force(by_met, by_inputs, by_angles, of_met):
         through, by_displacement, by_paths, by_width = jax.tree.map(lambda *d: sum(map(jnp.multiply, by_met, d)), *of_met)
-        if wanted[1].width is not None:
-            through = through._replace(width=through.width + by_width)
-        by_conditions = jax.tree.map(_over_teeth, wanted[1], through, by_conditions)
-        past, through_paths, by_earlier = _by_earlier(p, wanted[0], found, by_paths)
+        by_inputs = jax.tree.map(jnp.add, through, by_inputs)
+        conditions = by_inputs.conditions
+        if wanted.conditions.width is not None:
+            conditions = conditions._replace(width=conditions.width + by_width)
+        past, through_paths, by_commanded, by_excess, of_paths = _by_earlier(p, own, wanted, displacement, found, by_paths)
+        by_angles = jax.tree.map(lambda want, *by: sum(by), wanted.slices.angles, by_angles, of_paths)
+        others = Others(
+            Slice(by_angles, by_excess, by_inputs.slices.borders),
+            by_commanded,
+            jax.tree.map(lambda change, by: summed(by) if change.ndim < 2 else by, wanted.conditions, conditions),
+        )
         by_displacement = jax.tree.map(lambda direct, through: summed(direct) + through, by_displacement, through_paths)
-        return past, by_displacement, (by_earlier, by_conditions)
+        return past, by_displacement, others
 
     return stored(p.touching, _joined, *(stored(p.touching, of_force, *by, of_met) for by in of_forces))
 
 
-def _joined(of_x, of_y) -> Partials:
+def _joined(*of_forces) -> Partials:
     """From the derivatives of each force, all numbers apart."""
 
-    def both(x, y):
-        return jnp.stack([jnp.stack(jax.tree.leaves(x)), jnp.stack(jax.tree.leaves(y))])
+    def joined(*parts):
+        return jnp.stack([jnp.stack(jax.tree.leaves(part)) for part in parts])
 
-    (past_x, displacement_x, others_x), (past_y, displacement_y, others_y) = of_x, of_y
-    past = both(past_x[0], past_y[0]), both(past_x[1], past_y[1])
-    others = jax.tree.map(lambda x, y: jnp.stack([x, y]), others_x, others_y)
-    return Partials(past, both(displacement_x, displacement_y), others)
+    pasts, displacements, others = zip(*of_forces, strict=True)
+    past = joined(*(by for by, _ in pasts)), joined(*(by for _, by in pasts))
+    return Partials(past, joined(*displacements), jax.tree.map(lambda *parts: jnp.stack(parts), *others))
 
 
 def respond(
-    by: Float[Array, "2 2 m"],
-    direct: Float[Array, "2 m"],
+    by: Float[Array, "forces 2 m"],
+    direct: Float[Array, "forces m"],
     free: Float[Array, "2 m"],
     position: Motion,
     sweeps: int,
     touching: Bool[Array, ""],
-) -> Float[Array, "2 m"]:
+) -> Float[Array, "forces m"]:
     """Changes of the forces over a block that agree with the displacement they make [N].
 
     `by` are the derivatives of the forces by the present displacement, `direct` is the change of the forces at a fixed
@@ -109,7 +134,7 @@ def _iterated(sweep, start, times: int):
     return start
 
 
-def contract(by: Partials, past: tuple[Array, Array], others: tuple[Commanded, Conditions]) -> Float[Array, "2 m"]:
+def contract(by: Partials, past: tuple[Array, Array], others: Others) -> Float[Array, "forces m"]:
     """Change of the forces in each step: partial derivatives times changes, over all inputs but the present displacement."""
     displacement, velocity = (
         einsum("fkm,km->fm", b, d.reshape(-1, d.shape[-1])) for b, d in zip(by.past, past, strict=True)
@@ -122,40 +147,43 @@ def contract(by: Partials, past: tuple[Array, Array], others: tuple[Commanded, C
             # One number for all steps and teeth, or one for each.
             d = d.reshape(*d.shape, *[1] * (b.ndim - 1 - d.ndim))
             d = jnp.broadcast_to(d, (*b.shape[1:-1], d.shape[-1])).reshape(-1, d.shape[-1])
-            b = b.reshape(2, -1, b.shape[-1])
+            b = b.reshape(len(b), -1, b.shape[-1])
             total = total + (einsum("fkm,k->fm", b, d[:, 0]) if d.shape[1] == 1 else einsum("fkm,km->fm", b, d))
     return total
 
 
-def _by_contact(p: Process, wanted: Conditions, displacement, gap, rate, *, near: bool):
-    """Of what a tooth meets, F_t and near a border its place: derivatives of each by the wanted conditions, displacement, g
-    and its rate; and of each force by them and by the conditions."""
-    teeth, m = p.angles.cos.shape
-    conditions, fixed = _repeated(p.conditions, wanted, (teeth, m))
+def _by_contact(p: Process, own: Slice, inside, wanted: Others, displacement, gap, rate, *, near: bool):
+    """Of what a tooth meets, F_t and what else counts: derivatives of each by the wanted conditions and borders,
+    displacement, gap and rate; and of each force by them, by conditions and borders, and by the angles."""
+    teeth, m = own.angles.cos.shape
+    inputs = Others(own, p.earlier.commanded, p.conditions)
+    needed = jax.tree.map(lambda _: None, wanted)
+    needed = needed._replace(slices=needed.slices._replace(borders=wanted.slices.borders), conditions=wanted.conditions)
+    inputs, fixed = _repeated(inputs, needed, (teeth, m))
     everywhere = tuple(jnp.broadcast_to(along, (teeth, m)) for along in displacement)
 
-    def met(conditions, displacement, gap, rate):
-        found = contact(p, eqx.combine(conditions, fixed), displacement, gap, rate, near=near)
-        return (found.tangential, found.turn) if near else (found.tangential,)
+    def met(inputs, displacement, gap, rate):
+        slices, _, conditions = eqx.combine(inputs, fixed)
+        found = contact(p, slices, inside, conditions, displacement, gap, rate, near=near)
+        return found.tangential, found.engaged, found.turn if near else None
 
-    def force(met, conditions):
-        law, depth, *_ = eqx.combine(conditions, fixed)
-        tangential, turn = met if near else (*met, jnp.zeros((teeth, m)))
-        return plane_force(p.angles, tangential, turn, law.kr, depth)
+    def force(met, inputs, angles):
+        law, depth, _ = eqx.combine(inputs, fixed).conditions
+        tangential, engaged, turn = met
+        return force_on_tool(angles, tangential, engaged, turn, law, depth)
 
     def linear(*inputs):
         met_there, back = jax.vjp(met, *inputs)
         # One by one and not by vmap: with known ones and zeros, XLA leaves out most of the work.
-        return met_there, [back(unit) for unit in _units(len(met_there), (teeth, m))]
+        return met_there, [back(unit) for unit in _units(met_there)]
 
-    met_there, of_met = stored(p.touching, linear, conditions, everywhere, gap, rate)
-    _, back = jax.vjp(force, met_there, conditions)
-    return of_met, [back(unit) for unit in _units(2, (m,))]
-
-
-def _over_teeth(change, *by):
-    """Derivatives by a quantity that changes so: summed where all teeth share it."""
-    return sum(map(summed, by)) if change.ndim < 2 else sum(by)
+    met_there, of_met = stored(p.touching, linear, inputs, everywhere, gap, rate)
+    forces, back = jax.vjp(force, met_there, inputs, own.angles)
+    of_forces = []
+    for unit in _units(forces):
+        by_met, by_inputs, by_angles = back(unit)
+        of_forces.append((jax.tree.leaves(by_met), by_inputs, _only(wanted.slices.angles, by_angles)))
+    return of_met, of_forces
 
 
 def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "teeth m"], by_rate, width, step_angle: float):
@@ -184,16 +212,17 @@ def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "te
     return tuple(map(by_path, paths, reversed(found))), by_width
 
 
-def _by_earlier(p: Process, wanted: Commanded, found: Paths, by_paths):
+def _by_earlier(p: Process, own: Slice, wanted: Others, displacement, found: Paths, by_paths):
     """From derivatives by the paths: those by the earlier motions, by the present displacement and by what else is wanted,
-    summed over the teeth. `_chip.paths` in reverse."""
-    (cos, sin), velocity = p.angles, p.earlier.velocity
-    _, feed_rate, tip_speed, radius = p.earlier.commanded
+    summed over the teeth; by the excess of each and, where they are wanted, by the angles. `_chip.paths` in reverse."""
+    (cos, sin), earlier = own.angles, p.earlier
+    feed_per_tooth, feed_rate, tip_speed, radius, _ = earlier.commanded
     curvature, slowness = 1 / (2 * radius), 1 / tip_speed
-    by_displacement, by_velocity = [], []
+    by_displacement, by_velocity, by_excess = [], [], []
     by_feed = by_feed_rate = by_tip_speed = by_radius = jnp.zeros(())
+    by_cos = by_sin = jnp.zeros(())
     for k, ((_, across), (by_gap, by_across)) in enumerate(zip(found, by_paths, strict=True)):
-        vx, vy = (velocity[k, 0] + feed_rate) * slowness, velocity[k, 1] * slowness
+        vx, vy = (earlier.velocity[k, 0] + feed_rate) * slowness, earlier.velocity[k, 1] * slowness
         by_gap = jnp.where(jnp.abs(across) < radius, by_gap, 0.0)
         by_across = by_across + by_gap * (2 * across * curvature - (cos * vx - sin * vy))
         turning = by_gap * across
@@ -201,19 +230,32 @@ def _by_earlier(p: Process, wanted: Commanded, found: Paths, by_paths):
         by_vx, by_vy = summed(-turning * cos), summed(turning * sin)
         by_displacement.append((by_dx, by_dy))
         by_velocity.append((by_vx * slowness, by_vy * slowness))
+        by_excess.append(by_gap)
         by_feed = by_feed + (k + 1) * by_dx
         by_feed_rate = by_feed_rate + by_vx * slowness
         by_tip_speed = by_tip_speed - (by_vx * vx + by_vy * vy) * slowness
         by_radius = by_radius - summed(turning * across) * (curvature / radius)
-    by = Commanded(by_feed, by_feed_rate, by_tip_speed, by_radius)
-    by = jax.tree.map(lambda change, b: None if change is None else b, wanted, by, is_leaf=lambda x: x is None)
+        dx = displacement[0] - earlier.displacement[k, 0] + (k + 1) * feed_per_tooth
+        dy = displacement[1] - earlier.displacement[k, 1]
+        by_cos = by_cos + by_gap * dx - by_across * dy - turning * vx
+        by_sin = by_sin - by_gap * dy - by_across * dx + turning * vy
+    by_commanded = _only(wanted.commanded, Commanded(by_feed, by_feed_rate, by_tip_speed, by_radius))
+    excess = None if wanted.slices.excess is None else jnp.stack(by_excess)
     x, y = (sum(along) for along in zip(*by_displacement, strict=True))
-    return (tuple((-dx, -dy) for dx, dy in by_displacement), tuple(by_velocity)), (x, y), by
+    past = tuple((-dx, -dy) for dx, dy in by_displacement), tuple(by_velocity)
+    return past, (x, y), by_commanded, excess, _only(wanted.slices.angles, Angles(by_cos, by_sin))
 
 
-def _units(n: int, shape: tuple[int, ...]):
-    """n times n quantities, of which one after the other is 1 everywhere and the rest 0."""
-    return [tuple(jnp.full(shape, float(i == j)) for j in range(n)) for i in range(n)]
+def _only(wanted, by):
+    """The derivatives by what changes, None for the others."""
+    return jax.tree.map(lambda change, b: None if change is None else b, wanted, by, is_leaf=lambda x: x is None)
+
+
+def _units(values):
+    """For every array among `values`: all of them 0, and that one 1 everywhere."""
+    leaves, tree = jax.tree.flatten(values)
+    ones = [[jnp.full(x.shape, float(i == j)) for j, x in enumerate(leaves)] for i in range(len(leaves))]
+    return [jax.tree.unflatten(tree, unit) for unit in ones]
 
 
 def _repeated(inputs, wanted, shape: tuple[int, ...]):

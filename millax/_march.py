@@ -17,14 +17,13 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from ._block import Conditions, Pair, Process, anywhere, difference, norm, product, solve
-from ._chip import Angles, Commanded, Earlier
-from ._contact import Borders
+from ._block import Conditions, Forces, Process, Slice, anywhere, difference, norm, product, solve
+from ._chip import Commanded, Earlier
 from ._einsum import LONGEST
 from ._forces import ForceLaw
-from ._linear import contract, linearise, respond
+from ._linear import Others, contract, linearise, respond
 from ._math import stored
-from ._response import BlockResponse, Motion
+from ._response import BlockResponse
 from ._types import Scalar
 
 STRETCH = 1024
@@ -32,21 +31,22 @@ STRETCH = 1024
 
 
 class Place(NamedTuple):
-    """Where the teeth are in the steps of a block, the same in every tooth period but for the feed."""
+    """Where the teeth are in the steps of a block, in each slice of the tool; but for the feed."""
 
-    angles: Angles
-    borders: Borders
-    lowest: Float[Array, "2 borders teeth"]
+    slices: Slice
+    lowest: Float[Array, "slices 2 borders teeth"]
     """Smallest distance of each tooth from each border, outside is negative: all around, and in the front half [m]."""
-    highest: Float[Array, "2 borders teeth"]
+    highest: Float[Array, "slices 2 borders teeth"]
     """Largest distance, the same [m]."""
 
 
 class Model(NamedTuple):
-    """All that a simulation depends on. `place` has one entry per block."""
+    """All that a simulation depends on. `place` has an entry per block, and before that one per tooth period of a turn, or a
+    single one where all teeth are equal: then every tooth period is like the one before."""
 
     law: ForceLaw
     depth: Scalar
+    """Of a slice [m]."""
     width: Scalar
     feed_per_tooth: Scalar
     feed_rate: Scalar
@@ -75,16 +75,16 @@ class Carry(NamedTuple):
 
     state: Float[Array, " states"]
     past: Past
-    last: Pair
+    last: Forces
     """Forces in the last period [N]."""
-    before: Pair
+    before: Forces
     """And in the one before [N]."""
     trend: Scalar
     """How much of the change from one period to the next comes again in the next one [-]."""
     largest: Scalar
     """Largest force so far, root mean square of its components over a block [N]."""
-    peaks: tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "2 m"]]
-    """Largest absolute values so far in each step of a block: of the force along x and y [N], of the displacement [m]."""
+    peaks: tuple[Forces, Float[Array, "2 m"]]
+    """Largest absolute values so far in each step of a block: of the forces [N], of the displacement [m]."""
     contraction: Scalar
     """See `Solution`: the largest so far."""
 
@@ -93,7 +93,7 @@ class Traces(NamedTuple):
     """What is kept of every block of every period."""
 
     state: Float[Array, "periods blocks states"]
-    force: Pair
+    force: Forces
     motion: Past
     thickness: Float[Array, "periods blocks teeth m"]
     """Without derivatives."""
@@ -103,12 +103,12 @@ class Traces(NamedTuple):
 
 def at_rest(model: Model, passes: int) -> Carry:
     """The tool before the first period."""
-    blocks, _, m = model.place.angles.cos.shape
-    still, nothing = jnp.zeros((blocks, passes, 2, m)), jnp.zeros((blocks, m))
-    none = (nothing, nothing)
+    _, blocks, _, _, m = model.place.slices.angles.cos.shape
+    still = jnp.zeros((blocks, passes, 2, m))
+    none = tuple(jnp.zeros((blocks, m)) for _ in model.response.motion.by)
     zero = jnp.zeros_like(model.contraction)
     state = jnp.zeros(len(model.response.motion.free))
-    peaks = (nothing[0], nothing[0], still[0, 0])
+    peaks = (tuple(along[0] for along in none), still[0, 0])
     return Carry(state, Past(still, still), none, none, zero, zero, peaks, model.contraction)
 
 
@@ -127,16 +127,26 @@ def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> tuple[Car
 
 def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
     """What turns displacement into force in one block of one tooth period."""
-    commanded, conditions = surroundings(model, place, period)
+    slices, commanded, conditions = surroundings(model, place, period)
     reached = _within_reach(model, place, period * model.feed_per_tooth, past.displacement)
-    return Process(place.angles, Earlier(*past, commanded), conditions, *reached, step_angle=model.step_angle)
+    return Process(slices, Earlier(*past, commanded), conditions, *reached, step_angle=model.step_angle)
 
 
-def surroundings(model: Model, place: Place, period: Scalar) -> tuple[Commanded, Conditions]:
+def surroundings(model: Model, place: Place, period: Scalar) -> Others:
     """What the force depends on beside the present and the earlier displacement of the tool."""
     commanded = Commanded(model.feed_per_tooth, model.feed_rate, model.tip_speed, model.radius)
-    borders = place.borders.moved(period * model.feed_per_tooth)
-    return commanded, Conditions(model.law, model.depth, model.width, borders)
+    slices = place.slices._replace(borders=place.slices.borders.moved(period * model.feed_per_tooth))
+    return Others(slices, commanded, Conditions(model.law, model.depth, model.width))
+
+
+def place_in(period: Scalar, places: Place) -> Place:
+    """The places of a tooth period, one per block."""
+
+    def of(x):
+        turn = len(x)
+        return x[0] if turn == 1 else lax.dynamic_index_in_dim(x, period.astype(int) % turn, keepdims=False)
+
+    return jax.tree.map(of, places)
 
 
 @eqx.filter_custom_jvp
@@ -153,7 +163,7 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
             process(model, place, past, period),
             response.position,
             response.parted(free)[0],
-            (last[0] + trend * newest[0], last[1] + trend * newest[1]),
+            tuple(now + trend * new for now, new in zip(last, newest, strict=True)),
             contraction=contraction,
             allowed=model.tolerance * largest,
             sweeps=sweeps,
@@ -161,17 +171,17 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
         force = solution.force
         displacement, velocity, end = response.parted(free + response.motion.of_force(force))
         trend = _trend(difference(force, last), newest)
-        largest = jnp.maximum(largest, norm(force) / (2 * len(force[0])) ** 0.5)
+        largest = jnp.maximum(largest, norm(force) / (len(force) * len(force[0])) ** 0.5)
         counts = period < model.periods
         peaks = jax.tree.map(
-            lambda peak, x: jnp.where(counts, jnp.maximum(peak, jnp.abs(x)), peak), peaks, (*force, displacement)
+            lambda peak, x: jnp.where(counts, jnp.maximum(peak, jnp.abs(x)), peak), peaks, (force, displacement)
         )
         contraction = jnp.maximum(contraction, solution.contraction)
         traces = Traces(state, force, Past(displacement, velocity), solution.thickness, solution.error)
         return (end, trend, largest, peaks, contraction, period), (force, traces)
 
     def tooth_period(carry, period):
-        inputs = (model.place, carry.past, carry.last, carry.before)
+        inputs = (place_in(period, model.place), carry.past, carry.last, carry.before)
         start = (carry.state, carry.trend, carry.largest, carry.peaks, carry.contraction, period)
         (state, *adapted, _), (force, traces) = lax.scan(block, start, inputs)
         return Carry(state, _shifted(carry.past, traces.motion), force, carry.last, *adapted), traces
@@ -179,7 +189,7 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
     return lax.scan(tooth_period, start, number)
 
 
-def _trend(change: Pair, newest: Pair) -> Scalar:
+def _trend(change: Forces, newest: Forces) -> Scalar:
     """How much of the newest change between periods came again: least squares over a block."""
     size = product(newest, newest)
     return jnp.clip(product(change, newest) / jnp.where(size > 0, size, 1.0), -1.0, 1.0)
@@ -202,9 +212,9 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
     # How the motion changes at a known state and force. The large matrices of long blocks are better multiplied by all at
     # once.
-    by_response = Motion(*_or_zero(response.motion, by_model.response.motion))
+    by_response = _or_zero(response.motion, by_model.response.motion)
     known, extra = (traces.state, traces.force), by_response
-    if len(by_response.by_x) > LONGEST:
+    if len(by_response.by[0]) > LONGEST:
         known, extra = (jax.vmap(jax.vmap(by_response))(*known),), lambda known: known
 
     def block(carry, inputs):
@@ -212,9 +222,9 @@ def _stretch_jvp(primals, tangents, *, sweeps):
         (touching, by), past, known, place, by_place = inputs
         direct = stored(touching, contract, by, past, changes(place, by_place, period))
         free = extra(*known) + response.motion.of_state(change)
-        force = respond(by.displacement, direct, response.parted(free)[0], response.position, sweeps, touching)
+        force = tuple(respond(by.displacement, direct, response.parted(free)[0], response.position, sweeps, touching))
         displacement, velocity, end = response.parted(free + response.motion.of_force(force))
-        return (end, period), (change, (force[0], force[1]), Past(displacement, velocity))
+        return (end, period), (change, force, Past(displacement, velocity))
 
     def linearised(place, by_place, past, displacement, period):
         p = process(model, place, past, period)
@@ -223,8 +233,9 @@ def _stretch_jvp(primals, tangents, *, sweeps):
     def tooth_period(carry, inputs):
         state, past = carry
         earlier, displacement, known, period = inputs
-        by = jax.vmap(linearised, (0, 0, 0, 0, None))(model.place, by_model.place, earlier, displacement, period)
-        (state, _), traces = lax.scan(block, (state, period), (by, past, known, model.place, by_model.place))
+        place, by_place = place_in(period, model.place), place_in(period, by_model.place)
+        by = jax.vmap(linearised, (0, 0, 0, 0, None))(place, by_place, earlier, displacement, period)
+        (state, _), traces = lax.scan(block, (state, period), (by, past, known, place, by_place))
         return (state, _shifted(past, traces[2])), traces
 
     zero = _or_zero((start.state, start.past), (by_start.state, by_start.past))
@@ -256,26 +267,28 @@ def _shifted(past: Past, motion: Past) -> Past:
     return jax.tree.map(lambda old, new: jnp.concatenate([new[:, None], old[:, :-1]], axis=1), past, motion)
 
 
-def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[Bool[Array, ""], Bool[Array, ""], Array]:
-    """Whether a tooth may meet the stock at all, whether one may meet a border, and, where none does, which teeth are inside
-    all borders: judged from earlier displacements."""
+def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[Array, Bool[Array, ""], Bool[Array, ""]]:
+    """Where no tooth meets a border, which ones are inside all borders, shape (slices, teeth, 1); whether one may meet the
+    stock at all, and whether one may meet a border: judged from earlier displacements."""
     place, travelled, feed, displacement = lax.stop_gradient((place, travelled, model.feed_per_tooth, displacement))
     newest = displacement[0]
     moved = jnp.max(jnp.abs(newest))
     change = jnp.max(jnp.abs(displacement[1:] - newest)) if len(displacement) > 1 else moved
     # The tool is where it was one tooth period earlier, give or take some of what it changed by.
     reach = 2 * feed + 4 * change
-    normals = place.borders.normals[..., 0]
+    if place.slices.excess is not None:
+        reach = reach + jnp.max(jnp.abs(lax.stop_gradient(place.slices.excess)))
+    normals = place.slices.borders.normals[0, ..., 0]  # the same in all slices
     shift = normals[0] * (travelled + newest[0]) + normals[1] * newest[1]
     lowest = place.lowest - jnp.max(shift, axis=1, keepdims=True)
     highest = place.highest - jnp.min(shift, axis=1, keepdims=True)
-    anyone, in_front = jnp.any((lowest < reach) & (highest > -reach), axis=(1, 2))
+    anyone, in_front = jnp.any((lowest < reach) & (highest > -reach), axis=(0, 2, 3))
     # Behind the tool nothing is left to cut, unless its vibration comes near the feed.
     near = in_front | (anyone & (change > feed / 20))
-    inside = jnp.all(highest[0] > -reach, axis=0)
+    inside = jnp.all(highest[:, 0] > -reach, axis=1)
     # Of the second part, which always holds, XLA does not know that: without it there would be no condition left in an
     # endless workpiece, and `stored` would store nothing.
     touching = jnp.any(inside) & ~(travelled < 0)
     # How far a tool that has not moved yet will give way is not known. A rigid one never does.
     unknown = moved == 0 if len(model.response.motion.free) else False
-    return anywhere(touching | unknown), anywhere(near | unknown), inside[:, None].astype(feed.dtype)
+    return inside[..., None].astype(feed.dtype), anywhere(touching | unknown), anywhere(near | unknown)

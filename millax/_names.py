@@ -109,7 +109,9 @@ def _places(case: Case) -> dict[str, Place]:
 
 
 def _parts(case: Case, section: str, n: int) -> list[str]:
-    """Names of the n numbers of a leaf: directions, or numbers from 0 where the coordinates are not directions."""
+    """Names of the n numbers of a leaf: directions, or numbers from 0 of teeth and coordinates without direction."""
+    if section == "tool":
+        return [str(i) for i in range(n)]
     if section != "structure":
         return list(AXES[:n])
     return list(case.structure.axes) if case.structure.mode_shapes is None else [str(i) for i in range(n)]

@@ -2,35 +2,37 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._einsum import einsum
 from ._structure import Structure
-from ._types import Scalar
+from ._types import AXES, Scalar
 
 
 class Motion(NamedTuple):
-    """One motion over a block of m steps, from the state at its start and the mean in-plane force in each step.
+    """One motion over a block of m steps, from the state at its start and the mean force in each step.
 
     Its columns are quantities and steps in one: matrices that XLA multiplies as they are.
     """
 
     free: Float[Array, "states columns"]
-    by_x: Float[Array, "m columns"]
-    by_y: Float[Array, "m columns"]
+    by: tuple[Float[Array, "m columns"], ...]
+    """By the force along x, along y and, where there is one, along z."""
 
-    def __call__(self, state: Float[Array, " states"], force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Array:
+    def __call__(self, state: Float[Array, " states"], force: tuple[Float[Array, " m"], ...]) -> Array:
         return self.of_state(state) + self.of_force(force)
 
     def of_state(self, state: Float[Array, " states"]) -> Float[Array, " columns"]:
         """The motion without a force."""
         return einsum("k,kc->c", state, self.free)
 
-    def of_force(self, force: tuple[Float[Array, " m"], Float[Array, " m"]]) -> Float[Array, " columns"]:
+    def of_force(self, force: tuple[Float[Array, " m"], ...]) -> Float[Array, " columns"]:
         """The motion that starts from rest."""
-        return einsum("k,kc->c", force[0], self.by_x) + einsum("k,kc->c", force[1], self.by_y)
+        first, *others = (einsum("k,kc->c", along, by) for along, by in zip(force, self.by, strict=True))
+        return sum(others, first)
 
 
 class BlockResponse(NamedTuple):
@@ -49,7 +51,7 @@ class BlockResponse(NamedTuple):
 
     def to_one_step(self) -> Float[Array, "2 2*m"]:
         """As `response_to_one_step`."""
-        return jnp.stack([self.position.by_x[0], self.position.by_y[0]])
+        return jnp.stack([by[0] for by in self.position.by[:2]])
 
     def parted(self, columns: Float[Array, " columns"]) -> tuple[Array, Array, Array]:
         """The columns of `motion`: position and velocity, each of shape (2, m), and the state after the block."""
@@ -58,41 +60,42 @@ class BlockResponse(NamedTuple):
         return position.reshape(2, -1), velocity.reshape(2, -1), end
 
 
-def block_response(structure: Structure, dt: Scalar, steps: int) -> BlockResponse:
-    """The response of `structure` over `steps` steps of length `dt` [s], from the matrix exponential."""
+def block_response(structure: Structure, dt: Scalar, steps: int, forces: int = 2) -> BlockResponse:
+    """The response of `structure` over `steps` steps of length `dt` [s] to so many forces, along x, y and z; from the matrix
+    exponential."""
     n = structure.coordinates
-    powers, to_middle, lagged, step_input = _after_steps(structure, dt, steps)
+    powers, to_middle, lagged, step_input = _after_steps(structure, dt, steps, forces)
     lag = np.arange(steps)[:, None] - np.arange(steps)[None, :]
-    forced = jnp.where((lag >= 0)[:, :, None, None], lagged[np.maximum(lag, 0)], 0.0)  # (step, step of force, state, 2)
+    forced = jnp.where((lag >= 0)[:, :, None, None], lagged[np.maximum(lag, 0)], 0.0)  # (step, step of force, state, force)
 
     def observed(rows):
         free = jnp.einsum("as,jst->taj", rows, to_middle).reshape(2 * n, len(rows) * steps)
-        by = jnp.einsum("as,jlsb->blaj", rows, forced).reshape(2, steps, len(rows) * steps)
-        return Motion(free, by[0], by[1])
+        by = jnp.einsum("as,jlsb->blaj", rows, forced).reshape(forces, steps, len(rows) * steps)
+        return Motion(free, tuple(by))
 
     still = jnp.zeros((2, n))
     position = observed(jnp.concatenate([structure.in_plane_shapes, still], axis=1))
     velocity = observed(jnp.concatenate([still, structure.in_plane_shapes / dt], axis=1))
-    end = Motion(powers[steps].T, *jnp.einsum("lst,tb->bls", powers[:steps][::-1], step_input))
+    end = Motion(powers[steps].T, tuple(jnp.einsum("lst,tb->bls", powers[:steps][::-1], step_input)))
     return BlockResponse(
         position,
-        motion=Motion(*(_side_by_side(parts) for parts in zip(position, velocity, end, strict=True))),
+        motion=jax.tree.map(lambda *parts: _side_by_side(parts), position, velocity, end),
         axes=observed(jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)),
     )
 
 
 def response_to_one_step(structure: Structure, dt: Scalar, steps: int) -> Float[Array, "2 2*steps"]:
     """Position in the middle of each step, (x, y) by steps [m], after a force of 1 N along x, or y, in the first one."""
-    _, _, lagged, _ = _after_steps(structure, dt, steps)
+    _, _, lagged, _ = _after_steps(structure, dt, steps, 2)
     seen = lagged[:, : structure.coordinates]
     return jnp.einsum("as,jsb->baj", structure.in_plane_shapes, seen).reshape(2, -1)
 
 
-def _after_steps(structure: Structure, dt: Scalar, steps: int):
+def _after_steps(structure: Structure, dt: Scalar, steps: int, forces: int):
     """The state after 0 ... `steps` steps and in the middle of each, from the state at the start; in the middle of each
     after a force in the first one, and at the end of a step with a force."""
     n = structure.coordinates
-    half_transition, half_input = _discretise(structure, dt / 2, dt)
+    half_transition, half_input = _discretise(structure, dt / 2, dt, forces)
     transition = half_transition @ half_transition
     step_input = half_transition @ half_input + half_input
     # powers[j] = transition^j, by doubling: log2(m) small products instead of a loop of m.
@@ -111,18 +114,18 @@ def _side_by_side(parts) -> Array:
     return jnp.concatenate([*parts, jnp.zeros((len(parts[0]), -columns % 8))], axis=1)
 
 
-def _discretise(structure: Structure, duration: Scalar, dt: Scalar):
-    """Transition and input matrices over `duration` under a constant in-plane force: exact (van Loan's block matrix)."""
+def _discretise(structure: Structure, duration: Scalar, dt: Scalar, forces: int):
+    """Transition and input matrices over `duration` under a constant force: exact (van Loan's block matrix)."""
     n = structure.coordinates
     terms = jnp.concatenate(
-        [-structure.stiffness_matrix * dt, -structure.damping_matrix, structure.in_plane_shapes.T * dt], axis=1
+        [-structure.stiffness_matrix * dt, -structure.damping_matrix, structure.shapes_along(AXES[:forces]).T * dt], axis=1
     )
     acceleration = jnp.linalg.solve(structure.mass_matrix, terms)
     rates = jnp.block(
         [
-            [jnp.zeros((n, n)), jnp.eye(n) / dt, jnp.zeros((n, 2))],
+            [jnp.zeros((n, n)), jnp.eye(n) / dt, jnp.zeros((n, forces))],
             [acceleration],
-            [jnp.zeros((2, 2 * n + 2))],
+            [jnp.zeros((forces, 2 * n + forces))],
         ]
     )
     change = _exponential_minus_one(rates * duration)

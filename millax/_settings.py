@@ -2,8 +2,10 @@
 
 import dataclasses
 import math
+import warnings
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ._check import not_negative, positive
@@ -21,6 +23,12 @@ MOST_STEPS = 10**8
 STEPS_PER_MODE = 8
 """Fewest time steps per period of the fastest mode."""
 
+MANY = 3
+"""Passes remembered of a tool with equal teeth: enough for strong chatter."""
+
+STEPS_PER_SLICE = 2
+"""Most time steps by which a tooth may lag behind from one slice to the next."""
+
 
 class Settings(eqx.Module):
     """How long and how finely to simulate.
@@ -30,10 +38,12 @@ class Settings(eqx.Module):
     - `periods`: tooth periods simulated, >= 1. The trace has periods * steps_per_tooth samples.
     - `steps_per_tooth`: time steps per tooth period, >= 10. The scheme is second order; at 40 the force error is below
       0.2 % (`make validate`).
-    - `passes`: earlier tooth passes remembered, >= 1. One is enough while no tooth loses contact.
+    - `passes`: earlier tooth passes remembered, >= 1. One is enough while no tooth loses contact, a turn of them where the
+      teeth are not equal.
     - `blocks`: parts into which a tooth period is cut, a divisor of steps_per_tooth. Each is computed at once.
     - `sweeps`: most fixed-point sweeps per block, >= 1; a block takes as many as `tolerance` asks for, its derivatives take
       them all. `Settings.suited` chooses `blocks` and `sweeps`.
+    - `slices`: axial slices into which a helical tool is cut, >= 1. In each it is straight-fluted.
     - `width`: half-width of the smoothed gates [m], >= 0; small against h_s and the feed per tooth. The bias of the mean
       force at the default is below 0.3 % (`make validate`); 0 is the hard model.
     - `tolerance`: error of the force that the sweeps may leave in a block, over the largest force so far [-], > 0. It is
@@ -45,12 +55,13 @@ class Settings(eqx.Module):
     passes: int = eqx.field(static=True, default=3)
     blocks: int = eqx.field(static=True, default=1)
     sweeps: int = eqx.field(static=True, default=4)
+    slices: int = eqx.field(static=True, default=1)
     width: Scalar = eqx.field(converter=as_number, default=1e-6)
     tolerance: Scalar = eqx.field(converter=as_number, default=TOLERANCE)
 
     def __check_init__(self):
-        for name, least in (("periods", 1), ("steps_per_tooth", 10), ("passes", 1), ("blocks", 1), ("sweeps", 1)):
-            value = getattr(self, name)
+        for name in ("periods", "steps_per_tooth", "passes", "blocks", "sweeps", "slices"):
+            value, least = getattr(self, name), 10 if name == "steps_per_tooth" else 1
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise ValueError(f"simulation.{name}: {value!r} given; it must be a whole number of at least {least}")
         if self.steps_per_tooth % self.blocks:
@@ -73,17 +84,19 @@ class Settings(eqx.Module):
         cut: Cut,
         duration,
         steps_per_tooth: int = 40,
-        passes: int = 3,
+        passes: int | None = None,
         width=1e-6,
         blocks: int | None = None,
         sweeps: int | None = None,
         tolerance=TOLERANCE,
+        slices: int | None = None,
     ) -> "Settings":
         """Settings for a simulation of at least `duration` [s], in whole tooth periods.
 
-        `blocks` and `sweeps` are chosen from the gain of the iteration force -> displacement -> force unless given. It
-        needs concrete numbers: call it outside `jit`. Raises `ValueError` where the steps cannot resolve the fastest mode
-        of the structure.
+        `blocks` and `sweeps` are chosen from the gain of the iteration force -> displacement -> force unless given, `slices`
+        from the helix and the depth, and `passes` is 3, but at least a turn where the teeth are not equal. It needs concrete
+        numbers: call it outside `jit`. Raises `ValueError` where the steps cannot resolve the fastest mode of the structure,
+        or the slices not the helix. Warns of a runout beyond the feed per tooth.
         """
         positive("simulation.duration", duration, "s")
         period = float(cut.tooth_period(tool))
@@ -96,10 +109,12 @@ class Settings(eqx.Module):
         settings = Settings(
             periods=periods,
             steps_per_tooth=steps_per_tooth,
-            passes=passes,
+            passes=(MANY if tool.equal_teeth else max(MANY, tool.teeth)) if passes is None else passes,
+            slices=_slices(tool, cut, steps_per_tooth, slices),
             width=width,
             tolerance=tolerance,
         )
+        _warn_of_runout(tool, cut)
         matrices = structure.mass_matrix, structure.damping_matrix, structure.stiffness_matrix
         require_resolved(float(fastest_rate(*matrices)), period, steps_per_tooth)
         if blocks is None or sweeps is None:
@@ -125,6 +140,33 @@ def require_resolved(fastest: float, period: float, steps_per_tooth: int) -> Non
         raise ValueError(
             f"simulation.steps_per_tooth: {steps_per_tooth} given; the fastest mode of the structure "
             f"({fastest / (2 * math.pi):.4g} Hz) needs at least {needed} ({STEPS_PER_MODE} steps per period of that mode)"
+        )
+
+
+def _slices(tool: EndMill, cut: Cut, steps_per_tooth: int, slices: int | None) -> int:
+    """Slices that resolve the helix: with L steps of lag over the whole depth, sqrt(L/0.06) leave 0.1 % of the force (`make
+    validate`), and no slice may lag by more than one step. Raises `ValueError` where those given are too few."""
+    lag = float(tool.lag(cut.depth)) / (2 * math.pi / (tool.teeth * steps_per_tooth))
+    if slices is None:
+        return max(1, math.ceil(math.sqrt(lag / 0.06)), math.ceil(lag))
+    if lag > STEPS_PER_SLICE * slices:
+        raise ValueError(
+            f"simulation.slices: {slices} given; over the depth the helix wraps by {lag:.3g} time steps, and a slice may "
+            f"lag by {STEPS_PER_SLICE} at most. Give {math.ceil(lag / STEPS_PER_SLICE)} or more, or fewer steps per tooth"
+        )
+    return slices
+
+
+def _warn_of_runout(tool: EndMill, cut: Cut) -> None:
+    deviation = tool.deviation(jnp.zeros(1))
+    if deviation is None:
+        return
+    spread, feed = float(np.ptp(np.asarray(deviation))), float(cut.feed_per_tooth(tool))
+    if spread > feed:
+        warnings.warn(
+            f"tool: its teeth differ in radius by {1e6 * spread:.3g} µm, more than the feed per tooth, {1e6 * feed:.3g} µm: "
+            "some teeth may never cut, and the others take their share",
+            stacklevel=3,
         )
 
 

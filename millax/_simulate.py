@@ -19,14 +19,14 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from ._block import cutting
+from ._block import Slice, cutting
 from ._case import Case
 from ._chip import Angles
 from ._contact import borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
 from ._gain import RERUNS, gain_of, reachable
-from ._march import Carry, Model, Past, Place, at_rest, march, process, remembered
+from ._march import Carry, Model, Past, Place, at_rest, march, place_in, process, remembered
 from ._response import block_response
 from ._settings import Settings
 from ._stock import Stock
@@ -137,10 +137,11 @@ def _simulate(case: Case) -> Simulation:
     tau = cut.tooth_period(tool)
     dt = tau / steps
     sweeps = settings.sweeps if structure.coordinates else 1
-    response = block_response(structure, dt, m)
+    forces = 2 if law.ka is None else 3
+    response = block_response(structure, dt, m, forces)
     model = Model(
         law=law,
-        depth=cut.depth,
+        depth=cut.depth / settings.slices,
         width=settings.width,
         feed_per_tooth=cut.feed_per_tooth(tool),
         feed_rate=cut.feed_rate,
@@ -164,13 +165,13 @@ def _simulate(case: Case) -> Simulation:
     else:
         displacement = moved = jax.vmap(jax.vmap(model.response.axes))(state, force)
     displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), m))
-    largest = jnp.max(jnp.stack(largest))
+    largest = jnp.max(jnp.stack(jax.tree.leaves(largest)))
     residual = jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
     return Simulation(
         time=(jnp.arange(settings.steps) + 0.5) * dt,
-        force=jnp.stack([*(component.ravel() for component in force), jnp.zeros(settings.steps)], axis=1),
+        force=jnp.stack([*(along.ravel() for along in force), *[jnp.zeros(settings.steps)] * (3 - forces)], axis=1),
         displacement=displacement,
-        chip_thickness=_by_tooth(chip),
+        chip_thickness=_by_tooth(chip) if tool.equal_teeth else _trace(chip),
         residual=residual,
         status=status_of(largest, moved, residual, tool.radius, settings.tolerance),
         axes=structure.axes,
@@ -183,7 +184,7 @@ def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods bl
     def of_period(inputs):
         period, past, displacement = inputs
         return jax.vmap(lambda place, past, u: cutting(process(model, place, past, period), u)[1])(
-            model.place, past, displacement
+            place_in(period, model.place), past, displacement
         )
 
     number = jnp.arange(len(motion.velocity), dtype=model.response.position.free.dtype)
@@ -224,23 +225,42 @@ def _derivatives_of_model(primals, tangents):
 
 
 def _places(case: Case, m: int) -> Place:
-    """Directions and borders of every block of the first tooth period; in later ones only the feed has gone on."""
+    """Directions and borders of every block of the first tooth period, in later ones only the feed has gone on; or of every
+    tooth period of a turn where the teeth are not equal."""
     tool, cut, settings = case.tool, case.cut, case.settings
     steps = settings.steps_per_tooth
     step_angle = 2 * np.pi / (tool.teeth * steps)
-    step = np.arange(steps).reshape(settings.blocks, 1, 1, m)
-    phi = np.arange(tool.teeth)[:, None] * (2 * np.pi / tool.teeth) + (step + 0.5) * step_angle
+    turn = 1 if tool.equal_teeth else tool.teeth
+    # Axes: tooth periods, blocks, slices, borders, teeth, steps of a block.
+    step = np.arange(steps).reshape(1, settings.blocks, 1, 1, 1, m)
+    period = np.arange(turn).reshape(-1, 1, 1, 1, 1, 1)
+    tooth = np.arange(tool.teeth)[:, None]
+    phi = (tooth + period) * (2 * np.pi / tool.teeth) + (step + 0.5) * step_angle
+    lag = tool.lag((jnp.arange(settings.slices) + 0.5) * (cut.depth / settings.slices))
+    if tool.helix is not None:
+        phi = phi - lag[:, None, None, None]
+    deviation = tool.deviation(lag)
+    radius = tool.radius if deviation is None else (tool.radius + deviation)[:, None, :, None]
     advance = cut.feed_per_tooth(tool) / steps
     centres = [(cut.start[0] + advance * (step + end), cut.start[1]) for end in (0, 1)]
-    angles = Angles(jnp.asarray(np.cos(phi[:, 0])), jnp.asarray(np.sin(phi[:, 0])))
-    borders = borders_met(case.stock, tool.radius, centres, phi, step_angle)
+    angles = Angles(jnp.cos(phi[..., 0, :, :]), jnp.sin(phi[..., 0, :, :]))
+    borders = borders_met(case.stock, radius, centres, phi, step_angle)
     arc = tool.radius * step_angle**2 / 8  # height of the path of a tip over its chord in a step
     inner = jnp.minimum(borders.before, borders.after) - arc
     outer = jnp.maximum(borders.before, borders.after) + arc
-    front = np.cos(phi) > -0.5
-    lowest = [jnp.min(d, axis=3) for d in (inner, jnp.where(front, inner, jnp.inf))]
-    highest = [jnp.max(d, axis=3) for d in (outer, jnp.where(front, outer, -jnp.inf))]
-    return Place(angles, borders, jnp.stack(lowest, axis=1), jnp.stack(highest, axis=1))
+    front = jnp.cos(phi) > -0.5
+    lowest = [jnp.min(d, axis=-1) for d in (inner, jnp.where(front, inner, jnp.inf))]
+    highest = [jnp.max(d, axis=-1) for d in (outer, jnp.where(front, outer, -jnp.inf))]
+    slices = Slice(angles, _excess(deviation, settings.passes, angles.cos.shape), borders)
+    return Place(slices, jnp.stack(lowest, axis=3), jnp.stack(highest, axis=3))
+
+
+def _excess(deviation, passes: int, shape) -> Float[Array, "turn blocks slices passes teeth 1"] | None:
+    """By how much each tooth reaches farther than the one that cut before it, one pass earlier and so on [m]."""
+    if deviation is None:
+        return None
+    before = jnp.stack([jnp.roll(deviation, -k, axis=-1) for k in range(1, passes + 1)], axis=-2)
+    return jnp.broadcast_to((deviation[..., None, :] - before)[..., None], (*shape[:2], *before.shape, 1))
 
 
 def _trace(blocks: Float[Array, "periods blocks columns m"]) -> Float[Array, "steps columns"]:

@@ -6,11 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._check import concrete, finite, not_negative, positive
-from ._types import AXES, Matrix, as_number
-
-
-def _optional(value):
-    return None if value is None else as_number(value)
+from ._types import AXES, Matrix, as_number, optional
 
 
 class Structure(eqx.Module):
@@ -37,9 +33,9 @@ class Structure(eqx.Module):
     axes: tuple[str, ...] = eqx.field(static=True)
     mass: Float[Array, "..."] = eqx.field(converter=as_number)
     stiffness: Float[Array, "..."] = eqx.field(converter=as_number)
-    damping: Float[Array, "..."] | None = eqx.field(converter=_optional, default=None)
-    damping_ratio: Float[Array, "..."] | None = eqx.field(converter=_optional, default=None)
-    mode_shapes: Float[Array, "axes coordinates"] | None = eqx.field(converter=_optional, default=None)
+    damping: Float[Array, "..."] | None = eqx.field(converter=optional, default=None)
+    damping_ratio: Float[Array, "..."] | None = eqx.field(converter=optional, default=None)
+    mode_shapes: Float[Array, "axes coordinates"] | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         order = [AXES.index(a) if a in AXES else -1 for a in self.axes]
@@ -116,7 +112,11 @@ class Structure(eqx.Module):
     @property
     def in_plane_shapes(self) -> Float[Array, "2 coordinates"]:
         """The rows of S for x and y, zero where the tool does not move in that direction."""
-        rows = [self.shapes[self.axes.index(a)] if a in self.axes else jnp.zeros(self.coordinates) for a in AXES[:2]]
+        return self.shapes_along(AXES[:2])
+
+    def shapes_along(self, axes: tuple[str, ...]) -> Float[Array, "axes coordinates"]:
+        """The rows of S for these directions, zero where the tool does not move in one."""
+        rows = [self.shapes[self.axes.index(a)] if a in self.axes else jnp.zeros(self.coordinates) for a in axes]
         return jnp.stack(rows)
 
 

@@ -28,3 +28,8 @@ AXES = ("x", "y", "z")
 def as_number(value) -> Array:
     """`value` as a floating-point array: the converter of every physical field, so that each is a differentiable leaf."""
     return jnp.asarray(value, dtype=float)
+
+
+def optional(value) -> Array | None:
+    """The same, None if there is none."""
+    return None if value is None else as_number(value)

@@ -302,7 +302,7 @@ BORDERS = {
 def test_what_is_left_out_in_the_air_and_far_from_borders_would_change_nothing(cut, passes, monkeypatch):
     case = slot(**({"sweeps": 6} | cut), passes=passes)
     sim = mx.simulate(case)
-    monkeypatch.setattr(_march, "_within_reach", lambda *_: (jnp.asarray(True), jnp.asarray(True), jnp.ones((1, 1))))
+    monkeypatch.setattr(_march, "_within_reach", lambda *_: (jnp.ones((1, 1, 1)), jnp.asarray(True), jnp.asarray(True)))
     jax.clear_caches()
     whole = mx.simulate(case)
     jax.clear_caches()
