@@ -6,6 +6,9 @@ the tip has turned as seen from the tool centre at the start of the step. The fo
 
 It shares no formula with the engine but those of force law and structure, which makes it an oracle: area divided by
 R dalpha is h - h²/(2 R) on the average of the step. It is noisy, by about the spacing over the thickness, and slow.
+
+`simulate` is the papers' algorithm; `cut_along` takes any cutter along a prescribed motion, one grid for each axial slice.
+It remembers all passes, however long ago.
 """
 
 import numpy as np
@@ -14,6 +17,7 @@ from jaxtyping import Bool, Float
 import millax as mx
 
 from .compiled import Traces, discrete, observed, time_step
+from .exact import Cutter, Cutting, Forces, Position, law_of
 
 
 class Grid:
@@ -102,47 +106,80 @@ def simulate(case: mx.Case, spacing: float, *, stray: float = 1e-3, steps: int |
     - `stray`: how far the tool may leave its path, and the thickest chip [m].
     - `steps`: how many time steps, all of them by default.
     """
-    tool, cut, n = case.tool, case.cut, case.settings.steps_per_tooth
     steps = case.settings.steps if steps is None else steps
-    dt, radius, seen = time_step(case), float(tool.radius), observed(case)[:2]
+    cutter, law = Cutter.of(case), law_of(case)
+    dt, seen = time_step(case), observed(case)[:2]
     (half, half_in), (whole, whole_in) = (discrete(case, t) for t in (dt / 2, dt))
-    start, advance = np.asarray(cut.start), np.array([float(cut.feed_rate) * dt, 0.0])
-    law, kr = _law(case), float(case.force.kr)
-
-    def tips(at: float) -> Float[np.ndarray, "teeth 2"]:
-        phi = 2 * np.pi * (at / (tool.teeth * n) + np.arange(tool.teeth) / tool.teeth)
-        return np.stack([np.cos(phi), -np.sin(phi)], axis=1)
-
-    traces = Traces(np.zeros((steps, 2)), np.zeros((steps, 2)), np.zeros((steps, tool.teeth)))
+    start, advance = np.asarray(case.cut.start), np.array([float(case.cut.feed_rate) * dt, 0.0])
+    traces = Traces(np.zeros((steps, 2)), np.zeros((steps, 2)), np.zeros((steps, cutter.teeth)))
     state, force = np.zeros(len(whole)), np.zeros(2)
-    grid = Grid(case.stock, spacing, start, radius, stray)
+    grids = [Grid(case.stock, spacing, start, cutter.radius, stray)]
     for step in range(steps):
         # Where the tool will be at the end of the step depends on the force in it: that of the step before is near.
         commanded = start + advance * step, start + advance * (step + 1)
         before, after = commanded[0] + seen @ state, commanded[1] + seen @ (whole @ state + whole_in @ force)
-        grid.follow(float(commanded[1][0]))
-        middle, force = tips(step + 0.5), np.zeros(2)
-        for tooth, (n0, n1, n_middle) in enumerate(zip(tips(step), tips(step + 1), middle, strict=True)):
-            area, turned = grid.cut(before, before + radius * n0, after, after + radius * n1, stray)
-            h = area / (radius * turned)
-            cosine, sine = n_middle[0], -n_middle[1]
-            tangential = law(h)
-            force += tangential * np.array([sine - kr * cosine, cosine + kr * sine])
-            traces.thickness[step, tooth] = h
+        grids[0].follow(float(commanded[1][0]))
+        h = _swept(grids, cutter, (step * dt, (step + 1) * dt), (before, after), stray)
+        force = _force(cutter, law, (step + 0.5) * dt, h)[:2]
+        traces.thickness[step] = h[0]
         traces.force[step] = force
         traces.displacement[step] = seen @ (half @ state + half_in @ force)
         state = whole @ state + whole_in @ force
     return traces
 
 
-def _law(case: mx.Case):
-    """F_t(h) of one tooth [N] in plain Python (fractional law)."""
-    law = case.force
-    assert isinstance(law, mx.FractionalLaw)
-    k0, hs, r, depth = float(law.k0), float(law.hs), float(law.r), float(case.cut.depth)
+def cut_along(
+    cutter: Cutter,
+    position: Position,
+    stock: mx.Stock,
+    forces: Forces,
+    time: np.ndarray,
+    dt: float,
+    *,
+    spacing: float,
+    stray: float = 1e-3,
+) -> Cutting:
+    """Force and chip thickness in the steps of length `dt` [s] around `time` [s], one following the other.
 
-    def tangential(h: float) -> float:
-        u = h / hs
-        return depth * k0 * hs * (u + r * u**2) / (1 + u)
+    Before the first step the largest of the teeth has cut all that it could reach along x: where their radii differ, or the
+    tool is in the material, begin some passes early. The force is that of the mean thickness, in the middle of the step;
+    the thickness is the h of which A/(R dalpha) is h - h²/(2 R). Other arguments as in `exact.cut_along` and `simulate`.
+    """
+    positions = position(np.append(time, time[-1] + dt) - dt / 2).T
+    grids = [Grid(stock, spacing, positions[0], cutter.radii.max(), stray) for _ in cutter.z]
+    found = Cutting(np.zeros((len(time), 3)), np.zeros((len(time), cutter.teeth)))
+    for step, t in enumerate(time):
+        centres = positions[step], positions[step + 1]
+        for grid in grids:
+            grid.follow(float(centres[1][0]))
+        swept = _swept(grids, cutter, (t - dt / 2, t + dt / 2), centres, stray)
+        h = cutter.radii - np.sqrt(cutter.radii**2 - 2 * cutter.radii * swept)
+        found.force[step] = _force(cutter, forces, t, h)
+        found.thickness[step] = h.mean(axis=0)
+    return found
 
-    return tangential
+
+def _swept(grids: list[Grid], cutter: Cutter, times, centres, stray: float) -> Float[np.ndarray, "slices teeth"]:
+    """A/(R dalpha) [m] of all teeth, which sweep while the tool goes from one of the two `centres` to the other."""
+    tips = [centre + cutter.radii[:, :, None] * _directions(cutter, t) for t, centre in zip(times, centres, strict=True)]
+    h = np.zeros(cutter.radii.shape)
+    for level, tooth in np.ndindex(h.shape):
+        tip, tip_after = (at[level, tooth] for at in tips)
+        area, turned = grids[level].cut(centres[0], tip, centres[1], tip_after, stray)
+        h[level, tooth] = area / (cutter.radii[level, tooth] * turned)
+    return h
+
+
+def _directions(cutter: Cutter, t: float) -> Float[np.ndarray, "slices teeth 2"]:
+    """From the tool centre to every tip."""
+    phi = cutter.angle(t, *np.indices(cutter.radii.shape))
+    return np.stack([np.cos(phi), -np.sin(phi)], axis=-1)
+
+
+def _force(cutter: Cutter, forces: Forces, t: float, h: Float[np.ndarray, "slices teeth"]) -> Float[np.ndarray, " 3"]:
+    """On the tool along x, y, z [N]."""
+    n = _directions(cutter, t)
+    cos, sin = n[..., 0], -n[..., 1]
+    tangential, radial, axial = (np.where(h > 0, f, 0.0) * cutter.dz for f in forces(h))
+    parts = tangential * sin - radial * cos, tangential * cos + radial * sin, axial
+    return np.array([part.sum() for part in parts])
