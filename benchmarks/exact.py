@@ -138,16 +138,15 @@ def motion(start, feed_rate, time=None, displacement=None) -> Position:
     return position
 
 
-def position_of(case: mx.Case, sim: mx.Simulation | None = None) -> Position:
-    """The motion of the tool in a simulation, or without vibration."""
-    start, feed_rate = np.asarray(case.cut.start), float(case.cut.feed_rate)
-    if sim is None or not sim.axes:
-        return motion(start, feed_rate)
+def followed(case: mx.Case, sim: mx.Simulation):
+    """What `cut_along` is to be given, here and in `grid`, to cut once more as the tool moved in a simulation."""
     displacement = np.zeros((len(sim.time), 2))
     for column, axis in enumerate(sim.axes):
         if axis in "xy":
             displacement[:, "xy".index(axis)] = sim.displacement[:, column]
-    return motion(start, feed_rate, np.asarray(sim.time), displacement)
+    time = np.asarray(sim.time)
+    position = motion(case.cut.start, case.cut.feed_rate, time, displacement)
+    return Cutter.of(case), position, case.stock, law_of(case), time, float(time[1] - time[0])
 
 
 class Cutting(NamedTuple):

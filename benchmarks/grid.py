@@ -138,25 +138,33 @@ def cut_along(
     *,
     spacing: float,
     stray: float = 1e-3,
+    finer: int = 4,
+    early: int = 0,
 ) -> Cutting:
-    """Force and chip thickness in the steps of length `dt` [s] around `time` [s], one following the other.
+    """Mean force and chip thickness in the steps of length `dt` [s] around `time` [s], one following the other.
 
-    Before the first step the largest of the teeth has cut all that it could reach along x: where their radii differ, or the
-    tool is in the material, begin some passes early. The force is that of the mean thickness, in the middle of the step;
-    the thickness is the h of which A/(R dalpha) is h - h²/(2 R). Other arguments as in `exact.cut_along` and `simulate`.
+    The thickness is the h of which A/(R dalpha) is h - h²/(2 R). Other arguments as in `exact.cut_along` and `simulate`.
+
+    **Arguments:**
+
+    - `finer`: parts of a step. In each the force is that of its mean thickness, in the direction of its middle.
+    - `early`: steps that are cut before the first. Without them the tool has cut, at first, what the largest of its teeth
+      could reach along x: not yet right where the radii differ, or in material that it has been in before.
     """
-    positions = position(np.append(time, time[-1] + dt) - dt / 2).T
-    grids = [Grid(stock, spacing, positions[0], cutter.radii.max(), stray) for _ in cutter.z]
-    found = Cutting(np.zeros((len(time), 3)), np.zeros((len(time), cutter.teeth)))
-    for step, t in enumerate(time):
-        centres = positions[step], positions[step + 1]
+    t = time[0] + dt * ((np.arange(-early * finer, len(time) * finer) + 0.5) / finer - 0.5)
+    half = dt / finer / 2
+    centres = position(np.append(t - half, t[-1] + half)).T
+    grids = [Grid(stock, spacing, centres[0], cutter.radii.max(), stray) for _ in cutter.z]
+    force, thickness = np.zeros((len(t), 3)), np.zeros((len(t), cutter.teeth))
+    for step, now in enumerate(t):
+        between = centres[step], centres[step + 1]
         for grid in grids:
-            grid.follow(float(centres[1][0]))
-        swept = _swept(grids, cutter, (t - dt / 2, t + dt / 2), centres, stray)
+            grid.follow(float(between[1][0]))
+        swept = _swept(grids, cutter, (now - half, now + half), between, stray)
         h = cutter.radii - np.sqrt(cutter.radii**2 - 2 * cutter.radii * swept)
-        found.force[step] = _force(cutter, forces, t, h)
-        found.thickness[step] = h.mean(axis=0)
-    return found
+        force[step], thickness[step] = _force(cutter, forces, now, h), h.mean(axis=0)
+    means = (x[early * finer :].reshape(len(time), finer, -1).mean(axis=1) for x in (force, thickness))
+    return Cutting(*means)
 
 
 def _swept(grids: list[Grid], cutter: Cutter, times, centres, stray: float) -> Float[np.ndarray, "slices teeth"]:
