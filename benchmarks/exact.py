@@ -16,6 +16,7 @@ meets the ray nowhere within a quarter of a turn of where it is expected, with t
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,8 +29,8 @@ Position = Callable[[np.ndarray], np.ndarray]
 Forces = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """F_t, F_r, F_a of one tooth per unit of axial depth [N/m] by chip thickness h [m]; asked for h > 0 only."""
 
-ROUNDING = 1e-13
-"""Where crossings are solved to: angle of the earlier tooth [rad]."""
+ROUNDING = 1e-12
+"""The last change of a secant, of an angle [rad]: what is left is smaller, of the size of rounding, 1e-15 m."""
 RAYS = 100_000
 """Rays at once: as many as the cache takes."""
 
@@ -80,6 +81,11 @@ class Cutter:
     @property
     def teeth(self) -> int:
         return len(self.theta)
+
+    @cached_property
+    def at_start(self) -> np.ndarray:
+        """phi at t = 0, shape (slices, teeth)."""
+        return self.angle(0.0, *np.indices(self.radii.shape))
 
     def standing(self, tooth):
         """theta of tooth i, which may lie beyond the last: tooth i + teeth is tooth i, one turn ahead."""
@@ -184,7 +190,7 @@ def surface(cutter: Cutter, position: Position, t, level, tooth, k: int):
             if np.abs(change).max(initial=0.0) * cutter.speed < ROUNDING:
                 break
             slope = np.where(np.abs(change) * cutter.speed > 1e-9, (across - before) / change, slope)
-        met = (np.abs(across) < 1e-12 * radius) & (np.abs(s - expected) * cutter.speed < np.pi / 2) & (along > 0)
+        met = (np.abs(across) < 1e-10 * radius) & (np.abs(s - expected) * cutter.speed < np.pi / 2) & (along > 0)
     return np.where(met, along, np.nan)
 
 

@@ -180,7 +180,7 @@ def _swept(grids: list[Grid], cutter: Cutter, times, centres, stray: float) -> F
 
 def _directions(cutter: Cutter, t: float) -> Float[np.ndarray, "slices teeth 2"]:
     """From the tool centre to every tip."""
-    phi = cutter.angle(t, *np.indices(cutter.radii.shape))
+    phi = cutter.at_start + cutter.speed * t
     return np.stack([np.cos(phi), -np.sin(phi)], axis=-1)
 
 

@@ -53,6 +53,17 @@ def test_crossings_against_a_bracketing_solver(amplitude):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
+def test_a_pass_out_of_reach_is_skipped():
+    now = 84 * 2 * np.pi / SPEED  # tooth 0 points along the feed
+
+    def position(t):
+        return np.array([FEED * t, np.where(t < now - 1.5 * TAU, 2.5 * RADIUS, 0.0)])
+
+    ray = Cutter.end_mill(RADIUS, TEETH, SPEED, 1e-3), position, ENDLESS, np.array([now]), np.array([0]), np.array([0])
+    one, all_passes = (exact.thickness(*ray, passes)[0] for passes in (1, 6))
+    assert one == all_passes == pytest.approx(FEED_PER_TOOTH, rel=1e-3)
+
+
 def test_a_slot_is_feed_times_cosine_to_second_order():
     phi = np.linspace(-1.4, 1.4, 15)
     cutter = Cutter.end_mill(RADIUS, TEETH, SPEED, 1e-3)
