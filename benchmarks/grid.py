@@ -97,7 +97,15 @@ def _cross(a, b):
     return a[0] * b[1] - a[1] * b[0]
 
 
-def simulate(case: mx.Case, spacing: float, *, stray: float = 1e-3, steps: int | None = None) -> Traces:
+def simulate(
+    case: mx.Case,
+    spacing: float,
+    *,
+    stray: float = 1e-3,
+    steps: int | None = None,
+    cutter: Cutter | None = None,
+    forces: Forces | None = None,
+) -> Traces:
     """`case` by the grid algorithm: mean force in each step, displacement in its middle, chip thickness of every tooth.
 
     **Arguments:**
@@ -105,23 +113,23 @@ def simulate(case: mx.Case, spacing: float, *, stray: float = 1e-3, steps: int |
     - `spacing`: distance of the nodes [m]; the papers' choice depends on tool and time step, 5 to 20 um are usual.
     - `stray`: how far the tool may leave its path, and the thickest chip [m].
     - `steps`: how many time steps, all of them by default.
+    - `cutter`, `forces`: other ones than those of the case.
     """
     steps = case.settings.steps if steps is None else steps
-    cutter, law = Cutter.of(case), law_of(case)
+    cutter, law = cutter or Cutter.of(case), forces or law_of(case)
     dt, seen = time_step(case), observed(case)[:2]
     (half, half_in), (whole, whole_in) = (discrete(case, t) for t in (dt / 2, dt))
     start, advance = np.asarray(case.cut.start), np.array([float(case.cut.feed_rate) * dt, 0.0])
     traces = Traces(np.zeros((steps, 2)), np.zeros((steps, 2)), np.zeros((steps, cutter.teeth)))
     state, force = np.zeros(len(whole)), np.zeros(2)
-    grids = [Grid(case.stock, spacing, start, cutter.radius, stray)]
+    grids = _grids(cutter, case.stock, spacing, start, stray)
     for step in range(steps):
         # Where the tool will be at the end of the step depends on the force in it: that of the step before is near.
         commanded = start + advance * step, start + advance * (step + 1)
         before, after = commanded[0] + seen @ state, commanded[1] + seen @ (whole @ state + whole_in @ force)
-        grids[0].follow(float(commanded[1][0]))
-        h = _swept(grids, cutter, (step * dt, (step + 1) * dt), (before, after), stray)
+        h = _swept(grids, cutter, (step * dt, (step + 1) * dt), (before, after), commanded[1][0], stray)
         force = _force(cutter, law, (step + 0.5) * dt, h)[:2]
-        traces.thickness[step] = h[0]
+        traces.thickness[step] = h.mean(axis=0)
         traces.force[step] = force
         traces.displacement[step] = seen @ (half @ state + half_in @ force)
         state = whole @ state + whole_in @ force
@@ -154,21 +162,29 @@ def cut_along(
     t = time[0] + dt * ((np.arange(-early * finer, len(time) * finer) + 0.5) / finer - 0.5)
     half = dt / finer / 2
     centres = position(np.append(t - half, t[-1] + half)).T
-    grids = [Grid(stock, spacing, centres[0], cutter.radii.max(), stray) for _ in cutter.z]
+    grids = _grids(cutter, stock, spacing, centres[0], stray)
     force, thickness = np.zeros((len(t), 3)), np.zeros((len(t), cutter.teeth))
     for step, now in enumerate(t):
         between = centres[step], centres[step + 1]
-        for grid in grids:
-            grid.follow(float(between[1][0]))
-        swept = _swept(grids, cutter, (now - half, now + half), between, stray)
+        swept = _swept(grids, cutter, (now - half, now + half), between, between[1][0], stray)
         h = cutter.radii - np.sqrt(cutter.radii**2 - 2 * cutter.radii * swept)
         force[step], thickness[step] = _force(cutter, forces, now, h), h.mean(axis=0)
     means = (x[early * finer :].reshape(len(time), finer, -1).mean(axis=1) for x in (force, thickness))
     return Cutting(*means)
 
 
-def _swept(grids: list[Grid], cutter: Cutter, times, centres, stray: float) -> Float[np.ndarray, "slices teeth"]:
-    """A/(R dalpha) [m] of all teeth, which sweep while the tool goes from one of the two `centres` to the other."""
+def _grids(cutter: Cutter, stock: mx.Stock, spacing: float, centre, stray: float) -> list[Grid]:
+    """One for each slice."""
+    return [Grid(stock, spacing, centre, float(cutter.radii.max()), stray) for _ in cutter.z]
+
+
+def _swept(grids: list[Grid], cutter: Cutter, times, centres, x, stray: float) -> Float[np.ndarray, "slices teeth"]:
+    """A/(R dalpha) [m] of all teeth, which sweep while the tool goes from one of the two `centres` to the other.
+
+    The windows follow the tool to `x`.
+    """
+    for grid in grids:
+        grid.follow(float(x))
     tips = [centre + cutter.radii[:, :, None] * _directions(cutter, t) for t, centre in zip(times, centres, strict=True)]
     h = np.zeros(cutter.radii.shape)
     for level, tooth in np.ndindex(h.shape):
