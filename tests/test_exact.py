@@ -93,6 +93,14 @@ def test_one_tooth_that_stands_out(deviation):
     assert (found[3] == 0).any() == (deviation > FEED_PER_TOOTH)
 
 
+def test_runout_needs_as_many_passes_as_there_are_teeth():
+    # What stands out most has left the surface that the next three meet, and meets its own a turn later.
+    phi, cutter = np.linspace(-1.2, 1.2, 13), Cutter.end_mill(RADIUS, TEETH, SPEED, 1e-3, runout=[4e-4, 0.0, 0.0, 0.0])
+    one_less, a_turn, more = (thicknesses(cutter, phi, passes=passes) for passes in (TEETH - 1, TEETH, 8))
+    np.testing.assert_array_equal(a_turn, more)
+    assert (one_less[0] > a_turn[0] + 1e-5).all()
+
+
 def test_variable_pitch_gives_each_tooth_its_own_feed():
     pitch = np.radians([70.0, 100.0, 85.0, 105.0])
     phi = np.linspace(-1.2, 1.2, 13)
@@ -179,8 +187,8 @@ def test_exact_paths_against_the_grid(name, stock):
     cut = cutter, vibrating(3e-5, 400.0), stock, linear(8e8, 0.3, 0.2, 2e4, 1e4, 5e3), time, dt
     ours, nodes = exact.cut_along(*cut, passes=12), grid.cut_along(*cut, spacing=spacing, finer=2, early=160)
     assert (ours.thickness.mean(axis=0) > 1e-6).all()
-    assert abs(ours.thickness.mean() - nodes.thickness.mean()) < 1e-7
-    assert rms(ours.thickness - nodes.thickness) < 0.03 * rms(ours.thickness)
+    assert abs(ours.thickness.mean() - nodes.thickness.mean()) < 3e-8
+    assert rms(ours.thickness - nodes.thickness) < 0.02 * rms(ours.thickness)
     assert rms(ours.force - nodes.force) < 0.03 * rms(ours.force)
 
 

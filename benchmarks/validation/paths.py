@@ -15,6 +15,8 @@ from ..slot import down_milling, slot, strong_chatter, up_milling
 
 DURATION = 0.06
 SPACING = 5e-6
+FINER = 8
+"""Steps of the grid in a step: it takes the force of a mean thickness, which errs where a tooth begins to cut."""
 PASSES = 8
 MANY = 64
 """As good as all of them."""
@@ -33,12 +35,17 @@ the wall that it left many passes ago."""
 
 
 def figures():
+    yield from _simulated()
+    yield _any_cutter()
+
+
+def _simulated():
     for name, (build, limit) in CUTS.items():
         case = build(duration=DURATION, passes=PASSES)
         sim = mx.simulate(case)
         cut = exact.followed(case, sim)
         same, few, many = (exact.cut_along(*cut, passes=passes).force for passes in (PASSES, 3, MANY))
-        nodes = grid.cut_along(*cut, spacing=SPACING, finer=8, early=4 * case.settings.steps_per_tooth).force
+        nodes = grid.cut_along(*cut, spacing=SPACING, finer=FINER, early=4 * case.settings.steps_per_tooth).force
         what = f"{name}: engine beside exact paths, both with {PASSES} passes, RMS force difference"
         percent = _percent(sim.force, same)
         yield below(what, percent, limit, unit=" %") if limit else _read(what, percent)
@@ -47,6 +54,26 @@ def figures():
         yield _read(f"{name}: exact paths with {PASSES} passes beside {MANY}", _percent(same, many))
         yield _read(f"{name}: engine beside the grid, nodes every {SPACING * 1e6:.0f} µm", _percent(sim.force, nodes))
         yield below(f"{name}: exact paths with {MANY} passes beside the grid", _percent(many, nodes), 1.0, unit=" %")
+
+
+def _any_cutter() -> Figure:
+    """Helix, runout, pitch, edge and axial forces at once, along a motion as wide as the feed."""
+    case = slot(border=False)
+    speed, radius = float(case.cut.spindle_speed), float(case.tool.radius)
+    pitch, runout = np.radians([80.0, 100.0, 85.0, 95.0]), [[2e-5, 0.0, -2e-5, 0.0], [0.0, 2e-5, 0.0, -2e-5]]
+    cutter = exact.Cutter.end_mill(radius, 4, speed, 4e-3, slices=2, helix=np.radians(30), pitch=pitch, runout=runout)
+    law = exact.linear(8e8, 0.3, 0.2, kte=2e4, kre=1e4, kae=5e3)
+    dt = float(case.cut.tooth_period(case.tool)) / case.settings.steps_per_tooth
+    time = (np.arange(480) + 0.5) * dt
+    phase = 2 * np.pi * 400 * time
+    trembling = 1e-4 * np.stack([np.sin(phase), 0.7 * np.sin(1.3 * phase)], axis=1)
+    cut = cutter, exact.motion(case.cut.start, case.cut.feed_rate, time, trembling), case.stock, law, time, dt
+    many, nodes = (
+        exact.cut_along(*cut, passes=MANY).force,
+        grid.cut_along(*cut, spacing=SPACING, finer=FINER, early=160).force,
+    )
+    what = f"helix, runout, pitch, swings of 0.1 mm: exact paths with {MANY} passes beside the grid"
+    return below(what, _percent(many, nodes), 1.0, unit=" %")
 
 
 def _percent(force, reference) -> float:
