@@ -6,6 +6,9 @@ the tip has turned as seen from the tool centre at the start of the step. The fo
 
 It shares no formula with the engine but those of force law and structure, which makes it an oracle: area divided by
 R dalpha is h - h²/(2 R) on the average of the step. It is noisy, by about the spacing over the thickness, and slow.
+
+`simulate` is the papers' algorithm; `cut_along` takes any cutter along a prescribed motion, one grid for each axial slice.
+It remembers all passes, however long ago.
 """
 
 import numpy as np
@@ -14,6 +17,7 @@ from jaxtyping import Bool, Float
 import millax as mx
 
 from .compiled import Traces, discrete, observed, time_step
+from .exact import Cutter, Cutting, Forces, Position, law_of
 
 
 class Grid:
@@ -93,7 +97,15 @@ def _cross(a, b):
     return a[0] * b[1] - a[1] * b[0]
 
 
-def simulate(case: mx.Case, spacing: float, *, stray: float = 1e-3, steps: int | None = None) -> Traces:
+def simulate(
+    case: mx.Case,
+    spacing: float,
+    *,
+    stray: float = 1e-3,
+    steps: int | None = None,
+    cutter: Cutter | None = None,
+    forces: Forces | None = None,
+) -> Traces:
     """`case` by the grid algorithm: mean force in each step, displacement in its middle, chip thickness of every tooth.
 
     **Arguments:**
@@ -101,48 +113,97 @@ def simulate(case: mx.Case, spacing: float, *, stray: float = 1e-3, steps: int |
     - `spacing`: distance of the nodes [m]; the papers' choice depends on tool and time step, 5 to 20 um are usual.
     - `stray`: how far the tool may leave its path, and the thickest chip [m].
     - `steps`: how many time steps, all of them by default.
+    - `cutter`, `forces`: other ones than those of the case.
     """
-    tool, cut, n = case.tool, case.cut, case.settings.steps_per_tooth
     steps = case.settings.steps if steps is None else steps
-    dt, radius, seen = time_step(case), float(tool.radius), observed(case)[:2]
+    cutter, law = cutter or Cutter.of(case), forces or law_of(case)
+    dt, seen = time_step(case), observed(case)[:2]
     (half, half_in), (whole, whole_in) = (discrete(case, t) for t in (dt / 2, dt))
-    start, advance = np.asarray(cut.start), np.array([float(cut.feed_rate) * dt, 0.0])
-    law, kr = _law(case), float(case.force.kr)
-
-    def tips(at: float) -> Float[np.ndarray, "teeth 2"]:
-        phi = 2 * np.pi * (at / (tool.teeth * n) + np.arange(tool.teeth) / tool.teeth)
-        return np.stack([np.cos(phi), -np.sin(phi)], axis=1)
-
-    traces = Traces(np.zeros((steps, 2)), np.zeros((steps, 2)), np.zeros((steps, tool.teeth)))
+    start, advance = np.asarray(case.cut.start), np.array([float(case.cut.feed_rate) * dt, 0.0])
+    traces = Traces(np.zeros((steps, 2)), np.zeros((steps, 2)), np.zeros((steps, cutter.teeth)))
     state, force = np.zeros(len(whole)), np.zeros(2)
-    grid = Grid(case.stock, spacing, start, radius, stray)
+    grids = _grids(cutter, case.stock, spacing, start, stray)
     for step in range(steps):
         # Where the tool will be at the end of the step depends on the force in it: that of the step before is near.
         commanded = start + advance * step, start + advance * (step + 1)
         before, after = commanded[0] + seen @ state, commanded[1] + seen @ (whole @ state + whole_in @ force)
-        grid.follow(float(commanded[1][0]))
-        middle, force = tips(step + 0.5), np.zeros(2)
-        for tooth, (n0, n1, n_middle) in enumerate(zip(tips(step), tips(step + 1), middle, strict=True)):
-            area, turned = grid.cut(before, before + radius * n0, after, after + radius * n1, stray)
-            h = area / (radius * turned)
-            cosine, sine = n_middle[0], -n_middle[1]
-            tangential = law(h)
-            force += tangential * np.array([sine - kr * cosine, cosine + kr * sine])
-            traces.thickness[step, tooth] = h
+        h = _swept(grids, cutter, (step * dt, (step + 1) * dt), (before, after), commanded[1][0], stray)
+        force = _force(cutter, law, (step + 0.5) * dt, h)[:2]
+        traces.thickness[step] = h.mean(axis=0)
         traces.force[step] = force
         traces.displacement[step] = seen @ (half @ state + half_in @ force)
         state = whole @ state + whole_in @ force
     return traces
 
 
-def _law(case: mx.Case):
-    """F_t(h) of one tooth [N] in plain Python (fractional law)."""
-    law = case.force
-    assert isinstance(law, mx.FractionalLaw)
-    k0, hs, r, depth = float(law.k0), float(law.hs), float(law.r), float(case.cut.depth)
+def cut_along(
+    cutter: Cutter,
+    position: Position,
+    stock: mx.Stock,
+    forces: Forces,
+    time: np.ndarray,
+    dt: float,
+    *,
+    spacing: float,
+    stray: float = 1e-3,
+    finer: int = 4,
+    early: int = 0,
+) -> Cutting:
+    """Mean force and chip thickness in the steps of length `dt` [s] around `time` [s], one following the other.
 
-    def tangential(h: float) -> float:
-        u = h / hs
-        return depth * k0 * hs * (u + r * u**2) / (1 + u)
+    The thickness is the h of which A/(R dalpha) is h - h²/(2 R). Other arguments as in `exact.cut_along` and `simulate`.
 
-    return tangential
+    **Arguments:**
+
+    - `finer`: parts of a step. In each the force is that of its mean thickness, in the direction of its middle.
+    - `early`: steps that are cut before the first. Without them the tool has cut, at first, what the largest of its teeth
+      could reach along x: not yet right where the radii differ, or in material that it has been in before.
+    """
+    t = time[0] + dt * ((np.arange(-early * finer, len(time) * finer) + 0.5) / finer - 0.5)
+    half = dt / finer / 2
+    centres = position(np.append(t - half, t[-1] + half)).T
+    grids = _grids(cutter, stock, spacing, centres[0], stray)
+    force, thickness = np.zeros((len(t), 3)), np.zeros((len(t), cutter.teeth))
+    for step, now in enumerate(t):
+        between = centres[step], centres[step + 1]
+        swept = _swept(grids, cutter, (now - half, now + half), between, between[1][0], stray)
+        h = cutter.radii - np.sqrt(cutter.radii**2 - 2 * cutter.radii * swept)
+        force[step], thickness[step] = _force(cutter, forces, now, h), h.mean(axis=0)
+    means = (x[early * finer :].reshape(len(time), finer, -1).mean(axis=1) for x in (force, thickness))
+    return Cutting(*means)
+
+
+def _grids(cutter: Cutter, stock: mx.Stock, spacing: float, centre, stray: float) -> list[Grid]:
+    """One for each slice."""
+    return [Grid(stock, spacing, centre, float(cutter.radii.max()), stray) for _ in cutter.z]
+
+
+def _swept(grids: list[Grid], cutter: Cutter, times, centres, x, stray: float) -> Float[np.ndarray, "slices teeth"]:
+    """A/(R dalpha) [m] of all teeth, which sweep while the tool goes from one of the two `centres` to the other.
+
+    The windows follow the tool to `x`.
+    """
+    for grid in grids:
+        grid.follow(float(x))
+    tips = [centre + cutter.radii[:, :, None] * _directions(cutter, t) for t, centre in zip(times, centres, strict=True)]
+    h = np.zeros(cutter.radii.shape)
+    for level, tooth in np.ndindex(h.shape):
+        tip, tip_after = (at[level, tooth] for at in tips)
+        area, turned = grids[level].cut(centres[0], tip, centres[1], tip_after, stray)
+        h[level, tooth] = area / (cutter.radii[level, tooth] * turned)
+    return h
+
+
+def _directions(cutter: Cutter, t: float) -> Float[np.ndarray, "slices teeth 2"]:
+    """From the tool centre to every tip."""
+    phi = cutter.at_start + cutter.speed * t
+    return np.stack([np.cos(phi), -np.sin(phi)], axis=-1)
+
+
+def _force(cutter: Cutter, forces: Forces, t: float, h: Float[np.ndarray, "slices teeth"]) -> Float[np.ndarray, " 3"]:
+    """On the tool along x, y, z [N]."""
+    n = _directions(cutter, t)
+    cos, sin = n[..., 0], -n[..., 1]
+    tangential, radial, axial = (np.where(h > 0, f, 0.0) * cutter.dz for f in forces(h))
+    parts = tangential * sin - radial * cos, tangential * cos + radial * sin, axial
+    return np.array([part.sum() for part in parts])

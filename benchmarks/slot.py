@@ -1,7 +1,10 @@
 """The papers' slot: KR240, aluminium, 10 000 rpm, 4 m/min, 4 teeth, entering a straight border at t = 0.
 
-And the same slot with other structures: a light tool mode at its stability limit, and six coordinates with full matrices.
+And the same slot with other structures: a light tool mode at its stability limit and beyond, and six coordinates with full
+matrices; and one half of it, milled up or down.
 """
+
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -65,6 +68,21 @@ def limit_depth(case: mx.Case) -> float:
     depths = 1 / np.outer(np.linalg.eigvals(mean), flexibility)
     real = (depths.imag[:, 1:] * depths.imag[:, :-1] < 0) & (depths.real[:, 1:] > 0) & (abs(depths[:, 1:]) < 1)
     return float(depths.real[:, 1:][real].min())
+
+
+def strong_chatter(**numbers) -> mx.Case:
+    """The light tool mode at twice its limit depth: it swings by 0.12 mm, more than the feed, and teeth leave the cut."""
+    return slot(border=False, depth=2 * limit_depth(slot(duration=0.001, **LIGHT)), **(LIGHT | numbers))
+
+
+def up_milling(**numbers) -> mx.Case:
+    """Half of the slot: only the side at which teeth begin to cut with no thickness."""
+    return dataclasses.replace(slot(border=False, **numbers), stock=mx.Stock.box((None, None), (0.0, None)))
+
+
+def down_milling(**numbers) -> mx.Case:
+    """Half of the slot: only the side at which teeth begin to cut with their full thickness."""
+    return dataclasses.replace(slot(border=False, **numbers), stock=mx.Stock.box((None, None), (None, 0.0)))
 
 
 def six_coordinates(**numbers) -> mx.Case:

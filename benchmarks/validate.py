@@ -15,6 +15,7 @@ mx.set_up()
 SUBJECTS = {
     "papers": "Closed forms and the papers' tables",
     "oracles": "Other programs, same cut",
+    "paths": "Exact tooth paths and the papers' grid, same motion",
     "numerics": "Accuracy of the scheme",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
