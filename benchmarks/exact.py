@@ -73,10 +73,17 @@ class Cutter:
         return Cutter(radius, theta, radii, (np.arange(slices) + 0.5) * dz, dz, helix, speed)
 
     @staticmethod
-    def of(case: mx.Case) -> "Cutter":
-        """The straight and even cutter of a case."""
-        tool, cut = case.tool, case.cut
-        return Cutter.end_mill(float(tool.radius), tool.teeth, float(cut.spindle_speed), float(cut.depth))
+    def of(case: mx.Case, slices: int | None = None) -> "Cutter":
+        """The cutter of a case, in as many slices as its settings say or in `slices`."""
+        tool, slices = case.tool, case.settings.slices if slices is None else slices
+        speed, depth = float(case.cut.spindle_speed), float(case.cut.depth)
+        radius, helix = float(tool.radius), 0.0 if tool.helix is None else float(tool.helix)
+        theta = 2 * np.pi * np.arange(tool.teeth) / tool.teeth
+        lag = (np.arange(slices)[:, None] + 0.5) * (depth / slices) * np.tan(helix) / radius
+        runout = np.zeros(1) if tool.runout is None else np.asarray(tool.runout)
+        if tool.offset is not None:
+            runout = runout + float(tool.offset) * np.cos(theta - lag - float(tool.offset_angle))
+        return Cutter.end_mill(radius, tool.teeth, speed, depth, slices=slices, helix=helix, runout=runout)
 
     @property
     def teeth(self) -> int:
@@ -113,10 +120,15 @@ def fractional(k0, hs, r, kr, ka=0.0) -> Forces:
 
 
 def law_of(case: mx.Case) -> Forces:
-    """The fractional law of a case."""
+    """The law of a case, fractional or linear."""
     law = case.force
-    assert isinstance(law, mx.FractionalLaw)
-    return fractional(*(float(x) for x in (law.k0, law.hs, law.r, law.kr)))
+    ka = 0.0 if law.ka is None else float(law.ka)
+    if isinstance(law, mx.FractionalLaw):
+        return fractional(*(float(x) for x in (law.k0, law.hs, law.r, law.kr)), ka)
+    assert isinstance(law, mx.LinearLaw)
+    kt, kr, ke = float(law.kt), float(law.kr), float(law.ke)
+    kre, kae = (share * ke if own is None else float(own) for own, share in ((law.kre, kr), (law.kae, ka)))
+    return linear(kt, kr, ka, ke, kre, kae)
 
 
 def motion(start, feed_rate, time=None, displacement=None) -> Position:
@@ -144,7 +156,7 @@ def motion(start, feed_rate, time=None, displacement=None) -> Position:
     return position
 
 
-def followed(case: mx.Case, sim: mx.Simulation):
+def followed(case: mx.Case, sim: mx.Simulation, slices: int | None = None):
     """What `cut_along` is to be given, here and in `grid`, to cut once more as the tool moved in a simulation."""
     displacement = np.zeros((len(sim.time), 2))
     for column, axis in enumerate(sim.axes):
@@ -152,7 +164,7 @@ def followed(case: mx.Case, sim: mx.Simulation):
             displacement[:, "xy".index(axis)] = sim.displacement[:, column]
     time = np.asarray(sim.time)
     position = motion(case.cut.start, case.cut.feed_rate, time, displacement)
-    return Cutter.of(case), position, case.stock, law_of(case), time, float(time[1] - time[0])
+    return Cutter.of(case, slices), position, case.stock, law_of(case), time, float(time[1] - time[0])
 
 
 class Cutting(NamedTuple):

@@ -28,9 +28,11 @@ def slot(
     diameter=0.02,
     teeth=4,
     depth=1e-3,
+    tool=None,
     **settings,
 ) -> mx.Case:
-    tool = mx.EndMill(diameter, teeth)
+    """`tool` holds what makes the end mill other than straight and even: helix, runout."""
+    tool = mx.EndMill(diameter, teeth, **(tool or {}))
     law = mx.FractionalLaw(k0=5e9, hs=18e-6, r=0.1, kr=0.3)
     cut = mx.Cut.touching(tool, SPEED, FEED, depth)
     structure = mx.Structure(axes, mass, stiffness, damping_ratio=damping_ratio) if axes else mx.Structure.rigid()

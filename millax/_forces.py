@@ -56,7 +56,8 @@ def _work_jvp(primals, tangents):
     value = law.work(low, high)
     change = jnp.zeros_like(value)
     if jax.tree.leaves(by_law):
-        change = change + eqx.filter_jvp(lambda law: law.work(low, high), (law,), (by_law,))[1]
+        of_law = eqx.filter_jvp(lambda law: law.work(low, high), (law,), (by_law,))[1]
+        change = change if of_law is None else change + of_law  # k_a, for one, is not in W
     if dhigh is not None:
         change = change + law.tangential(high) * dhigh
     if dlow is not None:

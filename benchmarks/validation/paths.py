@@ -34,8 +34,18 @@ The tool that starts inside swings by more than its feed, 0.4 mm at 9 Hz, along 
 the wall that it left many passes ago."""
 
 
+TOOLS = {
+    "helix 30°": {"helix": np.radians(30)},
+    "runout 20 µm": {"runout": [0.0, 2e-5, 5e-6, -8e-6]},
+    "axis offset by 10 µm, helix 30°": {"offset": 1e-5, "offset_angle": 0.3, "helix": np.radians(30)},
+}
+SHORT = 0.02
+"""Of the cuts with these tools [s]: of a helix every slice is followed by itself."""
+
+
 def figures():
     yield from _simulated()
+    yield from _tools()
     yield _any_cutter()
 
 
@@ -54,6 +64,22 @@ def _simulated():
         yield _read(f"{name}: exact paths with {PASSES} passes beside {MANY}", _percent(same, many))
         yield _read(f"{name}: engine beside the grid, nodes every {SPACING * 1e6:.0f} µm", _percent(sim.force, nodes))
         yield below(f"{name}: exact paths with {MANY} passes beside the grid", _percent(many, nodes), 1.0, unit=" %")
+
+
+def _tools():
+    for name, tool in TOOLS.items():
+        for what, build in (("slot", slot), ("half immersion, up", up_milling), ("half immersion, down", down_milling)):
+            case = build(duration=SHORT, passes=PASSES, tool=tool)
+            sim, slices = mx.simulate(case), case.settings.slices
+            # Of a helix also what cutting it into slices costs.
+            cut = exact.followed(case, sim, 4 * slices if slices > 1 else 1)
+            percent = _percent(sim.force, exact.cut_along(*cut, passes=PASSES).force)
+            many = f", in {4 * slices} slices (engine: {slices})" if slices > 1 else ""
+            yield below(f"{name}, {what}: engine beside exact paths{many}, RMS force difference", percent, 0.1, unit=" %")
+        nodes = grid.cut_along(*cut, spacing=SPACING, finer=FINER, early=4 * case.settings.steps_per_tooth).force
+        yield _read(
+            f"{name}, {what}: engine beside the grid, nodes every {SPACING * 1e6:.0f} µm", _percent(sim.force, nodes)
+        )
 
 
 def _any_cutter() -> Figure:

@@ -1,0 +1,178 @@
+"""Helix, runout and axial forces: beside exact tooth paths, beside straight tools, and their derivatives."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ENDLESS, slot
+
+import millax as mx
+from benchmarks import exact
+
+HELIX = np.radians(30)
+UP, DOWN = mx.Stock.box((None, None), (0.0, None)), mx.Stock.box((None, None), (None, 0.0))
+EDGES = mx.LinearLaw(1.5e9, 0.3, ke=1.5e4, ka=-0.25, kre=2e4, kae=-4e3)
+
+
+def cut(*, stock=None, force=None, structure=None, duration=0.012, depth=1e-3, settings=None, **tool) -> mx.Case:
+    """The papers' slot with another tool, its settings chosen to suit it."""
+    case = slot(stock=stock, force=force, structure=structure)
+    tool = mx.EndMill(0.02, 4, **tool)
+    feed = dataclasses.replace(case.cut, depth=depth)
+    suited = mx.Settings.suited(tool, case.force, case.structure, feed, duration, **(settings or {}))
+    return dataclasses.replace(case, tool=tool, cut=feed, settings=suited)
+
+
+def difference(ours, theirs) -> float:
+    ours, theirs = np.asarray(ours), np.asarray(theirs)
+    return float(np.sqrt(((ours - theirs) ** 2).sum() / (theirs**2).sum()))
+
+
+CUTS = {
+    "helix, slot": {"helix": HELIX},
+    "helix, up": {"helix": HELIX, "stock": UP},
+    "helix, down": {"helix": HELIX, "stock": DOWN},
+    "runout, slot": {"runout": [0.0, 2e-5, 5e-6, -8e-6]},
+    "runout, down": {"runout": [0.0, 2e-5, 5e-6, -8e-6], "stock": DOWN},
+    "offset, helix": {"offset": 1e-5, "offset_angle": 0.3, "helix": HELIX},
+    "edge and axial forces": {"force": EDGES, "stock": ENDLESS},
+    "edge and axial forces, helix, offset": {
+        "force": EDGES,
+        "helix": HELIX,
+        "offset": 1e-5,
+        "offset_angle": 0.3,
+        "stock": ENDLESS,
+    },
+}
+
+
+@pytest.mark.parametrize("numbers", CUTS.values(), ids=CUTS.keys())
+def test_forces_beside_exact_tooth_paths(numbers):
+    case = cut(**numbers, settings={"passes": 8})
+    sim = mx.simulate(case)
+    reference = exact.cut_along(*exact.followed(case, sim), passes=8)
+    # An edge force jumps in the step in which contact begins: at the sides of a slot several earlier passes vie for it.
+    assert difference(sim.force, reference.force) < (1.5e-3 if case.force.own_edges is None else 1e-2)
+    assert difference(sim.chip_thickness, reference.thickness) < 3e-3
+
+
+def test_slices_resolve_the_helix():
+    case = cut(helix=HELIX, structure=mx.Structure.rigid())
+    few, many = mx.simulate(case), mx.simulate(case.with_settings(slices=8 * case.settings.slices))
+    assert difference(few.force, many.force) < 1e-3
+    deep = cut(helix=HELIX, depth=0.01, structure=mx.Structure.rigid())
+    assert deep.settings.slices < 25
+
+
+def test_a_helix_of_no_angle_is_straight():
+    straight, helical = mx.simulate(cut()), mx.simulate(cut(helix=0.0, settings={"slices": 3}))
+    assert difference(helical.force, straight.force) < 1e-12
+
+
+def test_teeth_said_to_be_equal_are_equal():
+    numbers = {"settings": {"passes": 3}, "stock": mx.Stock.box((0.0, 0.004), (-0.003, 0.005)), "duration": 0.06}
+    plain, table = mx.simulate(cut(**numbers)), mx.simulate(cut(runout=np.zeros(4), **numbers))
+    for name in ("force", "displacement", "chip_thickness"):
+        assert difference(getattr(table, name), getattr(plain, name)) < 1e-9
+
+
+def test_an_offset_is_a_runout_that_turns_with_the_tool():
+    angle = np.arange(4) * np.pi / 2
+    offset, runout = cut(offset=1e-5, offset_angle=0.4), cut(runout=1e-5 * np.cos(angle - 0.4))
+    assert difference(mx.simulate(offset).force, mx.simulate(runout).force) < 1e-12
+
+
+def test_a_tooth_that_stands_out_takes_its_lead_from_the_next():
+    """Rigid tool, h = f_z cos phi + R_i - R_(i+1): what one tooth takes more, the one after it finds gone."""
+    case = cut(runout=[0.0, 2e-5, 0.0, 0.0], structure=mx.Structure.rigid(), stock=ENDLESS)
+    even = np.asarray(mx.simulate(cut(structure=mx.Structure.rigid(), stock=ENDLESS)).chip_thickness)
+    more = np.asarray(mx.simulate(case).chip_thickness) - even
+    full = even[-160:] > 5e-5
+    for tooth, lead in enumerate((-2e-5, 2e-5, 0.0, 0.0)):
+        assert np.allclose(more[-160:, tooth][full[:, tooth]], lead, atol=1e-8)
+
+
+def test_axial_force_is_a_share_of_the_tangential_one():
+    law = slot().force
+    rigid = mx.Structure.rigid()
+    one, two = (
+        np.asarray(mx.simulate(cut(force=dataclasses.replace(law, ka=jnp.asarray(ka)), structure=rigid)).force)
+        for ka in (-0.2, 0.4)
+    )
+    none = np.asarray(mx.simulate(cut(structure=rigid)).force)
+    assert np.allclose(one[:, :2], none[:, :2], rtol=1e-12)
+    assert not none[:, 2].any()
+    assert np.allclose(two[:, 2], -2 * one[:, 2], rtol=1e-12)
+    # F_t of all teeth from h: each tooth cuts by itself, and only half of them at a time.
+    assert one[:, 2].min() == pytest.approx(-0.2 * 1e-3 * float(law.tangential(2e-4 / 2)) * 1.0, rel=0.5)
+
+
+def test_axial_force_moves_a_coupled_structure():
+    coupled = mx.Structure(
+        ("x", "y", "z"), 10.0, [[3e6, 0.0, 8e5], [0.0, 3e6, 0.0], [8e5, 0.0, 3e6]], damping=[1000.0, 1000.0, 1000.0]
+    )
+    law = dataclasses.replace(slot().force, ka=jnp.asarray(-0.5))
+    sim = mx.simulate(cut(force=law, structure=coupled, duration=0.15))
+    mean = np.asarray(sim.force)[-160:].mean(axis=0)
+    static = np.linalg.solve(coupled.stiffness_matrix, mean)
+    assert np.allclose(np.asarray(sim.displacement)[-160:].mean(axis=0), static, rtol=0.02)
+    assert mean[2] < -10
+
+
+def test_edge_forces_of_a_full_slot():
+    """Budak, Altintas and Armarego 1996: mean forces of a slot, to first order in f_z/R = 1 %."""
+    case = cut(force=EDGES, structure=mx.Structure.rigid(), stock=ENDLESS, duration=0.02)
+    mean = np.asarray(mx.simulate(case).force)[-160:].mean(axis=0)
+    depth, feed, teeth, law = 1e-3, float(case.cut.feed_per_tooth(case.tool)), 4, EDGES
+    kt, kr, ke, ka, kre, kae = (float(x) for x in (law.kt, law.kr, law.ke, law.ka, law.kre, law.kae))
+    x = -teeth * depth / 4 * kr * kt * feed - teeth * depth / np.pi * kre
+    y = teeth * depth / 4 * kt * feed + teeth * depth / np.pi * ke
+    z = teeth * depth / np.pi * ka * kt * feed + teeth * depth / 2 * kae
+    assert np.allclose(mean, [x, y, z], rtol=6e-3)
+
+
+def test_derivatives_of_the_tool_and_its_edges():
+    def where(c):
+        t, law = c.tool, c.force
+        return [t.helix, t.runout, t.offset, t.offset_angle, t.diameter, law.ka, law.kre, law.kae, c.cut.depth]
+
+    structure = mx.Structure(("x", "y", "z"), 5.0, [[3e6, 2e5, 1e5], [2e5, 3e6, 4e5], [1e5, 4e5, 6e6]], damping=[300.0] * 3)
+    case = cut(
+        helix=0.5,
+        runout=[0.0, 4e-6, 8e-6, -4e-6],
+        offset=5e-6,
+        offset_angle=0.7,
+        force=EDGES,
+        structure=structure,
+        stock=mx.Stock.box((None, None), (-0.02, 0.001)),
+        duration=0.009,
+        settings={"tolerance": 1e-13, "sweeps": 20, "slices": 2},
+    )
+    weights = jax.random.normal(jax.random.key(0), (case.settings.steps, 6))
+
+    def weighed(factors):
+        scaled = eqx.tree_at(where, case, [leaf * factor for leaf, factor in zip(where(case), factors, strict=True)])
+        sim = mx.simulate(scaled, throw=False)
+        return jnp.sum(weights * jnp.concatenate([sim.force / 100, sim.displacement / 1e-5], axis=1))
+
+    one = jnp.ones(len(where(case)))
+    forward, backward = jax.jit(jax.jacfwd(weighed))(one), jax.jit(jax.grad(weighed))(one)
+    assert np.allclose(forward, backward, rtol=1e-9)
+    value = jax.jit(weighed)
+    for i in range(len(one)):
+        step = 1e-5
+        differences = (value(one.at[i].add(step)) - value(one.at[i].add(-step))) / (2 * step)
+        assert forward[i] == pytest.approx(float(differences), rel=1e-6)
+
+
+def test_runout_beyond_the_feed_is_pointed_out():
+    with pytest.warns(UserWarning, match="differ in radius by 150 µm, more than the feed per tooth, 100 µm"):
+        cut(runout=[0.0, 1.5e-4, 0.0, 0.0])
+
+
+def test_slices_that_do_not_resolve_the_helix_are_refused():
+    with pytest.raises(ValueError, match=r"slices: 1 given; .* wraps by 9.5 time steps.*\n?.*Give 5 or more"):
+        cut(helix=np.radians(75), settings={"slices": 1})
