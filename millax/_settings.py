@@ -145,7 +145,7 @@ def require_resolved(fastest: float, period: float, steps_per_tooth: int) -> Non
 
 def _slices(tool: EndMill, cut: Cut, steps_per_tooth: int, slices: int | None) -> int:
     """Slices that resolve the helix: with L steps of lag over the whole depth, sqrt(L/0.04) leave less than 0.1 % of the
-    force (`make validate`), and no slice may lag by more than one step. Raises `ValueError` where those given are too few."""
+    force (`make validate`), and no slice may lag by more than a step. Raises `ValueError` where those given are too few."""
     lag = float(tool.lag(cut.depth)) / (2 * math.pi / (tool.teeth * steps_per_tooth))
     if slices is None:
         return max(1, math.ceil(math.sqrt(lag / 0.04)), math.ceil(lag))
