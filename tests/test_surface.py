@@ -1,0 +1,269 @@
+"""Walls against closed forms, and against tooth paths sampled densely; the phases of an entry."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ENDLESS, RPM, slot
+from scipy.interpolate import CubicSpline
+
+import millax as mx
+from benchmarks.location_error import MODE, TOOL, location_error
+from millax.plots import plot_wall
+
+FEED, RADIUS, TEETH = 1e-4, 0.01, 4
+SIGN = {"left": 1, "right": -1}
+WEAK = mx.FractionalLaw(k0=1e9, hs=18e-6, r=0.1, kr=0.3)
+BOTH = pytest.mark.parametrize("side", SIGN)
+
+
+def rigid(**numbers) -> mx.Case:
+    """The papers' slot without borders, rigid."""
+    return slot(axes=(), **({"stock": ENDLESS, "start": (0.0, 0.0), "duration": 0.06} | numbers))
+
+
+def moved(case: mx.Case, *motion) -> mx.Simulation:
+    """A simulation of `case` whose tool moves as `motion` says, along x and y."""
+    sim = dataclasses.replace(mx.simulate(case), axes=("x", "y"))
+    return eqx.tree_at(lambda sim: sim.displacement, sim, jnp.stack(jnp.broadcast_arrays(*motion), axis=1))
+
+
+def middle(points: int = 1001) -> np.ndarray:
+    """Ten feeds per tooth in the middle of the cut."""
+    return np.linspace(1e-3, 2e-3, points)
+
+
+@BOTH
+def test_feed_marks_of_a_rigid_tool_are_those_of_martellotti(side):
+    # 10 steps per tooth: a step is 2.4 mm of the path of a tip, 24 feeds per tooth.
+    case = rigid(steps_per_tooth=10)
+    wall = mx.wall_profile(case, mx.simulate(case), side, middle())
+    height = FEED**2 / (8 * RADIUS * (1 + SIGN[side] * FEED * TEETH / (2 * np.pi * RADIUS)) ** 2)
+    deviation = np.asarray(wall.deviation)
+    assert deviation.max() - deviation.min() == pytest.approx(height, rel=1e-4)
+    assert deviation.max() == pytest.approx(FEED**2 / (8 * RADIUS), rel=0.02)
+    assert deviation.min() == pytest.approx(0, abs=1e-6 * height)
+    assert mx.form_error(wall, (1e-3, 2e-3)) == pytest.approx(height / 3, rel=2e-3)
+
+
+@BOTH
+def test_a_tool_that_stands_aside_leaves_a_wall_that_stands_aside(side):
+    case, x = rigid(), middle()
+    still, shifted = mx.simulate(case), moved(case, jnp.full(case.settings.steps, 2e-5), jnp.float64(3e-6))
+    expected = mx.wall_profile(case, still, side, x - 2e-5).y + 3e-6
+    np.testing.assert_allclose(mx.wall_profile(case, shifted, side, x).y, expected, atol=1e-13)
+
+
+@BOTH
+@pytest.mark.parametrize("phase", [0.0, 1.0, 3.0])
+def test_a_vibration_counts_at_the_instant_at_which_the_tooth_passes(side, phase):
+    case = rigid()
+    tau = float(case.cut.tooth_period(case.tool))
+    sim = mx.simulate(case)
+    vibration = lambda t: 2e-6 * np.cos(2 * np.pi * t / tau + phase)  # noqa: E731
+    abreast = (3 if side == "left" else 1) * tau  # four teeth: a quarter of a turn is one period
+    found, still = (mx.form_error(mx.wall_profile(case, s, side)) for s in (moved(case, 0.0, vibration(sim.time)), sim))
+    # A feed mark is cut in 0.5 % of the tooth period, in which the vibration goes on by up to 1.6 % of its amplitude.
+    assert float(found - still) == pytest.approx(-SIGN[side] * vibration(abreast), abs=0.01 * 2e-6)
+
+
+def sampled_wall(case: mx.Case, sim: mx.Simulation, side: str, x: np.ndarray) -> np.ndarray:
+    """The wall from tooth paths sampled fifty times in a step: every crossing of x, and the farthest of them."""
+    tool, cut, time = case.tool, case.cut, np.asarray(sim.time)
+    t = np.arange(time[0], time[-1], (time[1] - time[0]) / 50)
+    u = CubicSpline(time, np.asarray(sim.displacement))(t)
+    farthest = np.full(x.size, -np.inf)
+    for tooth in range(tool.teeth):
+        phi = float(cut.spindle_speed) * t + 2 * np.pi * tooth / tool.teeth
+        px = float(cut.start[0]) + float(cut.feed_rate) * t + u[:, 0] + float(tool.radius) * np.cos(phi)
+        py = SIGN[side] * (float(cut.start[1]) + u[:, 1] - float(tool.radius) * np.sin(phi))
+        near = np.flatnonzero((py[:-1] > 0.5 * float(tool.radius)) & (px.min() < x.max()))
+        for j, at in enumerate(x):
+            i = near[(px[near] <= at) != (px[near + 1] <= at)]
+            part = (at - px[i]) / (px[i + 1] - px[i])
+            farthest[j] = max(farthest[j], np.max(py[i] + part * (py[i + 1] - py[i]), initial=-np.inf))
+    return SIGN[side] * farthest
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "numbers",
+    [{"stiffness": 0.05e6}, {"mass": 0.03993, "stiffness": 1.34e6, "damping_ratio": 0.011}],
+    ids=["robot", "spindle"],
+)
+def test_the_wall_is_the_envelope_of_tooth_paths_sampled_densely(side, numbers):
+    case = slot(duration=0.25, blocks=4, sweeps=8, **numbers)
+    sim = mx.simulate(case)
+    x = np.linspace(1e-3, 4e-3, 83)
+    expected = sampled_wall(case, sim, side, x)
+    assert np.ptp(expected) > 1e-6
+    # Between the samples a chord lies up to (8 µm)²/(8 R) below the path, and a cubic is as good as a spline.
+    np.testing.assert_allclose(mx.wall_profile(case, sim, side, x).y, expected, atol=1e-8)
+
+
+def flexible(side: str, rpm: float, *, feed: float = 5e-5, periods: int = 400, stiffness=MODE["stiffness"]) -> mx.Case:
+    """Partial immersion, a tool that gives way in y."""
+    tool, law = mx.EndMill(2 * TOOL["radius"], TOOL["teeth"]), mx.LinearLaw(kt=TOOL["kt"], kr=TOOL["kr"])
+    tau = 2 * np.pi / (rpm * RPM * TOOL["teeth"])
+    cut = mx.Cut(rpm * RPM, feed / tau, TOOL["depth"], (0.0, 0.0))
+    inner = TOOL["radius"] - TOOL["immersion"]
+    stock = mx.Stock.box((None, None), (inner, None) if side == "left" else (None, -inner))
+    structure = mx.Structure(("y",), MODE["mass"], stiffness, damping_ratio=MODE["damping_ratio"])
+    return mx.Case(tool, law, cut, stock, structure, mx.Settings(periods, 80, blocks=4, sweeps=12, width=1e-9))
+
+
+def closed_form(side: str, rpm: float, feed: float = 5e-5) -> float:
+    return location_error(side, speed=rpm * RPM, feed_per_tooth=feed, **TOOL, **MODE)
+
+
+@BOTH
+def test_surface_location_error_of_up_and_down_milling(side):
+    speeds = (9000, 13000, 20000, 27000, 30000)
+    expected = np.array([closed_form(side, rpm) for rpm in speeds])
+    found = []
+    for rpm in speeds:
+        case = flexible(side, rpm)
+        assert mx.walls(case) == (side,)
+        found.append(float(mx.form_error(mx.wall_profile(case, mx.simulate(case), side))))
+    # The closed form is first order in the feed over the radius: 0.5 % of the motion, which is up to 6 µm.
+    np.testing.assert_allclose(found, expected, atol=0.01 * 6e-6)
+    # Where the teeth pass as often as the mode swings (27 660 rpm), the error of down-milling changes its sign.
+    if side == "right":
+        assert found[3] > 4e-6
+        assert found[4] < -2e-7
+
+
+def test_the_derivative_of_the_form_error_by_the_stiffness():
+    def error(stiffness):
+        case = flexible("right", 13000.0, periods=100, stiffness=stiffness).with_settings(tolerance=1e-12, sweeps=20)
+        return mx.form_error(mx.wall_profile(case, mx.simulate(case, throw=False), "right"))
+
+    k = MODE["stiffness"]
+    _, slope = jax.jit(lambda k: jax.jvp(error, (k,), (1.0,)))(k)
+    values = [float(jax.jit(error)(k * factor)) for factor in (1 - 1e-4, 1 + 1e-4)]
+    assert float(slope) == pytest.approx((values[1] - values[0]) / (2e-4 * k), rel=1e-4)
+
+
+@BOTH
+def test_derivatives_and_batches_of_motions(side):
+    """In reverse mode and under vmap; what moves the whole tool by 1 moves the wall by 1."""
+    case = rigid()
+    sim = moved(case, 0.0, 1e-6 * np.sin(900 * np.arange(case.settings.steps)))
+
+    def error(motion):
+        return mx.form_error(mx.wall_profile(case, eqx.tree_at(lambda s: s.displacement, sim, motion), side))
+
+    slope = jax.grad(error)(sim.displacement)
+    assert float(slope[:, 1].sum()) == pytest.approx(-SIGN[side], rel=1e-9)
+    assert np.isfinite(slope).all()
+    both = jax.vmap(error)(jnp.stack([sim.displacement, sim.displacement + jnp.array([0.0, 1e-5])]))
+    assert float(both[1] - both[0]) == pytest.approx(-SIGN[side] * 1e-5, rel=1e-9)
+
+
+def test_a_member_of_a_sweep_is_filled_up_with_nan():
+    case = rigid()
+    sim, steps = mx.simulate(case), case.settings.steps
+    filled = jax.tree.map(
+        lambda v: jnp.concatenate([v, jnp.full((80, *v.shape[1:]), jnp.nan)]) if v.ndim and len(v) == steps else v, sim
+    )
+    longer = case.with_settings(periods=case.settings.periods + 2)
+    expected, found = (mx.wall_profile(c, s, "right", middle()).y for c, s in ((case, sim), (longer, filled)))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_roughness_of_parabolic_feed_marks():
+    x = np.linspace(0, 1, 20001)
+    height = 3e-6
+    marks = 4 * height * ((10 * x + 0.5) % 1 - 0.5) ** 2
+    # On a wall that is neither parallel to the feed nor where it should be.
+    wall = mx.Wall(jnp.asarray(x), jnp.asarray(-2 - (marks + 1e-4 * x - 5e-6)), jnp.asarray(-2.0), "left")
+    with np.errstate(all="ignore"):
+        ra, rq, rz = mx.roughness(wall, (0.0, 1.0))
+    assert ra == pytest.approx(8 / (9 * np.sqrt(12)) * height, rel=1e-3)
+    assert rq == pytest.approx(np.sqrt(4 / 45) * height, rel=1e-3)
+    assert rz == pytest.approx(height, rel=1e-3)
+    assert mx.form_error(wall, (0.0, 1.0)) == pytest.approx(height / 3 + 5e-5 - 5e-6, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("y", "expected"),
+    [
+        ((None, None), ("left", "right")),
+        ((0.0, None), ("left",)),  # up-milling
+        ((None, 0.0), ("right",)),  # down-milling
+        ((-0.01, 0.01), ()),  # as wide as the tool
+        ((-0.003, 0.02), ("left",)),
+    ],
+)
+def test_where_there_are_walls(y, expected):
+    case = slot(axes=(), duration=0.2, stock=mx.Stock.box((0.0, 0.002), y))
+    assert mx.walls(case) == expected
+    for side in SIGN:
+        wall = mx.wall_profile(case, mx.simulate(case), side)
+        there = np.isfinite(wall.y)
+        assert there.any() == (side in expected)
+        if side in expected:
+            assert 0 < wall.x[there].min() < 1e-5
+            assert 0.00199 < wall.x[there].max() < 0.002
+
+
+def test_a_cut_that_has_not_begun_has_no_wall():
+    case = slot(axes=(), duration=0.05)  # the tool centre has come to 3 mm
+    assert mx.walls(case) == ()
+    assert np.isnan(mx.form_error(mx.wall_profile(case, mx.simulate(case), "left")))
+
+
+def test_another_side():
+    case = rigid(duration=0.01)
+    with pytest.raises(ValueError, match="'top' given; it must be one of 'left', 'right'"):
+        mx.wall_profile(case, mx.simulate(case), "top")
+
+
+def test_phases_of_the_papers_entry():
+    case = slot(axes=(), duration=0.2)
+    found = mx.phases(case, mx.simulate(case))
+    tau = float(case.cut.tooth_period(case.tool))
+    second = RADIUS * (1 - np.cos(np.pi / TEETH)) / (4 / 60)
+    assert 0 < found["Ia"][0] < tau
+    assert second < found["Ia"][1] < second + 1.2 * tau
+    assert found["Ib"][0] == found["Ia"][1]
+    assert found["Ib"][1] == found["II"][0] == pytest.approx(0.15, abs=tau / 40)
+    assert found["II"][1] == pytest.approx(case.settings.periods * tau)
+
+
+def test_two_teeth_are_never_in_contact_together():
+    case = slot(axes=(), teeth=2, duration=0.2)
+    found = mx.phases(case, mx.simulate(case))
+    assert found["Ib"] is None
+    assert found["Ia"][1] == found["II"][0] == pytest.approx(0.15, abs=1e-4)
+
+
+def test_phases_of_other_cuts():
+    short, endless, through = (
+        slot(axes=(), duration=0.1),
+        rigid(),
+        slot(axes=(), stock=mx.Stock.box((0, 0.015)), duration=0.3),
+    )
+    assert mx.phases(short, mx.simulate(short))["II"] is None
+    assert mx.phases(short, mx.simulate(short))["Ib"][1] == pytest.approx(0.1, abs=2e-3)
+    assert mx.phases(endless, mx.simulate(endless)) == {"Ia": None, "Ib": None, "II": (0.0, pytest.approx(0.06))}
+    # The front of the tool reaches the end of the stock when its centre is 1 mm in.
+    assert mx.phases(through, mx.simulate(through))["II"][1] == pytest.approx(0.011 / (4 / 60), abs=1e-4)
+
+
+def test_phases_of_a_traced_simulation():
+    case = rigid(duration=0.01)
+    with pytest.raises(ValueError, match="outside jit"):
+        jax.jit(lambda k: mx.phases(case, mx.simulate(eqx.tree_at(lambda c: c.force.k0, case, k))))(5e9)
+
+
+def test_the_picture_of_a_wall():
+    case = slot(duration=0.2)
+    sim = mx.simulate(case)
+    figure = plot_wall([mx.wall_profile(case, sim, side) for side in mx.walls(case)], case)
+    labels = " ".join(f"{axes.get_xlabel()} {axes.get_ylabel()}" for axes in figure.axes)
+    assert "x [mm]" in labels
+    assert "[µm]" in labels
