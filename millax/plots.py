@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ._case import Case
 from ._simulate import Simulation
-from ._surface import Wall
+from ._surface import Wall, phases
 from ._types import AXES
 
 if TYPE_CHECKING:
@@ -28,7 +28,8 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Figure:
     """Forces and displacement against time: the whole cut at the left, its last tooth periods at the right.
 
-    The whole cut is drawn as a band from the smallest to the largest value in each tooth period, with the mean in it.
+    The whole cut is drawn as a band from the smallest to the largest value in each tooth period, with the mean in it. Grey
+    behind it: phases Ia and Ib of the entry.
 
     **Arguments:**
 
@@ -44,11 +45,17 @@ def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Fi
     grid = figure.subplots(2 if moves else 1, 2, sharex="col", squeeze=False)
     for axes in grid.flat:
         tidy(axes)
-    grid[0, 0].set_title("whole cut: mean and range of every tooth period", loc="left", fontsize="medium")
     grid[0, 1].set_title(f"last {periods} tooth periods", loc="left", fontsize="medium")
     grid[-1, 0].set_xlabel("time [s]")
     grid[-1, 1].set_xlabel("time [ms]")
 
+    found = phases(case, sim)
+    entry = {name: found[name] for name in ("Ia", "Ib") if found[name]}
+    for (begin, end), shade in zip(entry.values(), (0.2, 0.1), strict=False):
+        for axes in grid[:, 0]:
+            axes.axvspan(begin, end, color="0.4", alpha=shade, linewidth=0)
+    words = f"; grey: phase {' and '.join(entry)}" if entry else ""
+    grid[0, 0].set_title(f"whole cut: mean and range of every tooth period{words}", loc="left", fontsize="medium")
     for axis, force in forces.items():
         draw_band(grid[0, 0], time, force, steps, colour=COLOURS[axis], label=f"$F_{axis}$")
         grid[0, 1].plot(1e3 * time[last], force[last], color=COLOURS[axis])
