@@ -16,6 +16,7 @@ SUBJECTS = {
     "papers": "Closed forms and the papers' tables",
     "oracles": "Other programs, same cut",
     "numerics": "Accuracy of the scheme",
+    "surface": "Walls and entries",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
     "programs": "Programs",

@@ -59,18 +59,18 @@ class TipPaths(NamedTuple):
     dt: Scalar
     samples: Float[Array, "2 steps"]
     """u in the middle of every step [m], along x and y."""
-    count: Int[Array, ""]
+    length: Int[Array, ""]
     """Samples up to the end of the cut: what lies behind them is not looked at."""
 
     @property
     def end(self) -> Scalar:
         """The end of the cut [s]."""
-        return self.count * self.dt
+        return self.length * self.dt
 
     def centre(self, t: Float[Array, "..."]) -> tuple[Array, Array]:
         """The tool centre at t [s]."""
         s = t / self.dt - 0.5
-        first = jnp.clip(jnp.floor(s).astype(int) - 1, 0, self.count - 4)
+        first = jnp.clip(jnp.floor(s).astype(int) - 1, 0, self.length - 4)
         s = s - first
         # Lagrange's polynomials on the nodes 0, 1, 2, 3.
         a, b, c, d = s, s - 1, s - 2, s - 3
@@ -97,7 +97,7 @@ def tip_paths(case: Case, sim: Simulation) -> TipPaths:
         start=cut.start,
         dt=cut.tooth_period(tool) / case.settings.steps_per_tooth,
         samples=jnp.stack([sim.displacement[:, sim.axes.index(axis)] if axis in sim.axes else still for axis in "xy"]),
-        count=jnp.sum(~jnp.isnan(sim.time)),  # members of a sweep are filled up with NaN
+        length=jnp.sum(~jnp.isnan(sim.time)),  # members of a sweep are filled up with NaN
     )
 
 
@@ -267,8 +267,8 @@ def roughness(wall: Wall, stretch: tuple[float, float] | None = None) -> Roughne
 def _stretch(wall: Wall, stretch: tuple[float, float] | None) -> Bool[Array, " points"]:
     there = ~jnp.isnan(wall.y)
     if stretch is None:
-        first, last = jnp.min(jnp.where(there, wall.x, jnp.inf)), jnp.max(jnp.where(there, wall.x, -jnp.inf))
-        stretch = (first + last) / 2, last
+        begin, end = jnp.min(jnp.where(there, wall.x, jnp.inf)), jnp.max(jnp.where(there, wall.x, -jnp.inf))
+        return there & (wall.x >= (begin + end) / 2)
     return there & (wall.x >= stretch[0]) & (wall.x <= stretch[1])
 
 
@@ -314,19 +314,20 @@ def phases(case: Case, sim: Simulation) -> dict[str, tuple[float, float] | None]
     if concrete(sim.time) is None:
         raise ValueError("phases: the simulation is traced; call it outside jit, grad and vmap")
     paths = tip_paths(case, sim)
-    steps, dt = int(paths.count), float(paths.dt)
+    steps, dt = int(paths.length), float(paths.dt)
     normals, offsets = np.asarray(case.stock.normals), np.asarray(case.stock.offsets)
 
-    def distance(point, which=slice(None)):
-        """From a point to the nearest of these borders, positive inside."""
-        borders = zip(normals[which], offsets[which], strict=True)
-        apart = [offset - nx * point[0] - ny * point[1] for (nx, ny), offset in borders]
-        return np.min(apart, axis=0) if apart else np.full(np.shape(point[0]), np.inf)
+    def distance(x, y, which=lambda nx: True):
+        """From points to the nearest of these borders, positive inside."""
+        found = np.full(np.shape(x), np.inf)
+        for (nx, ny), offset in zip(normals, offsets, strict=True):
+            found = np.minimum(found, offset - nx * x - ny * y) if which(nx) else found
+        return found
 
     middles = (np.arange(steps) + 0.5) * dt
     x, y = _numpy(paths, jnp.asarray(middles), None)
-    past = np.flatnonzero(distance((x, y), normals[:, 0] < 0) >= 0)
-    ahead = np.flatnonzero(distance((x + float(case.tool.radius), y), normals[:, 0] > 0) < 0)
+    past = np.flatnonzero(distance(x, y, lambda nx: nx < 0) >= 0)
+    ahead = np.flatnonzero(distance(x + float(case.tool.radius), y, lambda nx: nx > 0) < 0)
     end = steps * dt
     full = middles[past[0]] if past.size else end
     if past.size and past[0] == 0:
@@ -336,7 +337,7 @@ def phases(case: Case, sim: Simulation) -> dict[str, tuple[float, float] | None]
     t = (np.arange(entering * PER_STEP) + 0.5) * (dt / PER_STEP)
     tips = _numpy(paths, jnp.asarray(t)[:, None], jnp.arange(case.tool.teeth))
     thick = np.asarray(sim.chip_thickness)[:entering] > float(case.settings.width) / 2
-    contact = (distance(tips) > 0) & np.repeat(thick, PER_STEP, axis=0)
+    contact = (distance(*tips) > 0) & np.repeat(thick, PER_STEP, axis=0)
     together = contact.sum(axis=1)
     first, second = (t[found[0]] if (found := np.flatnonzero(together >= n)).size else None for n in (1, 2))
     done = middles[ahead[0]] if ahead.size else end

@@ -49,11 +49,10 @@ def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Fi
     grid[-1, 0].set_xlabel("time [s]")
     grid[-1, 1].set_xlabel("time [ms]")
 
-    found = phases(case, sim)
-    entry = {name: found[name] for name in ("Ia", "Ib") if found[name]}
-    for (begin, end), shade in zip(entry.values(), (0.2, 0.1), strict=False):
+    entry = {name: between for name, between in phases(case, sim).items() if between and name != "II"}
+    for between, shade in zip(entry.values(), (0.2, 0.1), strict=False):
         for axes in grid[:, 0]:
-            axes.axvspan(begin, end, color="0.4", alpha=shade, linewidth=0)
+            axes.axvspan(*between, color="0.4", alpha=shade, linewidth=0)
     words = f"; grey: phase {' and '.join(entry)}" if entry else ""
     grid[0, 0].set_title(f"whole cut: mean and range of every tooth period{words}", loc="left", fontsize="medium")
     for axis, force in forces.items():
