@@ -325,33 +325,35 @@ def phases(case: Case, sim: Simulation) -> dict[str, tuple[float, float] | None]
         return found
 
     middles = (np.arange(steps) + 0.5) * dt
-    x, y = _numpy(paths, jnp.asarray(middles), None)
+    x, y = map(np.asarray, _centre(paths, jnp.asarray(middles)))
     past = np.flatnonzero(distance(x, y, lambda nx: nx < 0) >= 0)
     ahead = np.flatnonzero(distance(x + float(case.tool.radius), y, lambda nx: nx > 0) < 0)
     end = steps * dt
-    full = middles[past[0]] if past.size else end
-    if past.size and past[0] == 0:
-        full = 0.0
-    entering = past[0] if past.size else steps
-
-    t = (np.arange(entering * PER_STEP) + 0.5) * (dt / PER_STEP)
-    tips = _numpy(paths, jnp.asarray(t)[:, None], jnp.arange(case.tool.teeth))
-    thick = np.asarray(sim.chip_thickness)[:entering] > float(case.settings.width) / 2
-    contact = (distance(*tips) > 0) & np.repeat(thick, PER_STEP, axis=0)
-    together = contact.sum(axis=1)
-    first, second = (t[found[0]] if (found := np.flatnonzero(together >= n)).size else None for n in (1, 2))
+    entering = int(past[0]) if past.size else steps
+    full = middles[entering] if 0 < entering < steps else entering * dt
     done = middles[ahead[0]] if ahead.size else end
+
+    thick = np.asarray(sim.chip_thickness)[:entering] > float(case.settings.width) / 2
+    found: dict[int, float] = {}
+    for begin in range(0, entering, _STRETCH):
+        t = (begin + (np.arange(_STRETCH * PER_STEP) + 0.5) / PER_STEP) * dt
+        tips = map(np.asarray, _tip(paths, jnp.asarray(t)[:, None], jnp.arange(case.tool.teeth)))
+        cutting = np.repeat(thick[begin : begin + _STRETCH], PER_STEP, axis=0)
+        together = np.sum((distance(*tips) > 0)[: len(cutting)] & cutting, axis=1)
+        for teeth in {1, 2} - set(found):
+            if (when := np.flatnonzero(together >= teeth)).size:
+                found[teeth] = float(t[when[0]])
+        if 2 in found:
+            break
+    first, second = found.get(1), found.get(2)
     return {
-        "Ia": None if first is None else (float(first), float(full if second is None else second)),
-        "Ib": None if second is None else (float(second), float(full)),
+        "Ia": None if first is None else (first, float(full if second is None else second)),
+        "Ib": None if second is None else (second, float(full)),
         "II": (float(full), float(done)) if past.size and done > full else None,
     }
 
 
-def _numpy(paths: TipPaths, t: Array, tooth: Array | None) -> tuple[np.ndarray, np.ndarray]:
-    """Tip, or centre where no tooth is given."""
-    x, y = _centre(paths, t) if tooth is None else _tip(paths, t, tooth)
-    return np.asarray(x), np.asarray(y)
-
+_STRETCH = 1024
+"""Time steps that `phases` looks at together: memory does not grow with the length of a trace."""
 
 _centre, _tip = jax.jit(TipPaths.centre), jax.jit(TipPaths.tip)
