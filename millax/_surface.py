@@ -143,8 +143,8 @@ def wall_profile(case: Case, sim: Simulation, side: Side, x: Float[Array, " poin
       3 %. None: along the whole path of the tool centre, `PER_FEED` points per feed per tooth.
 
     Differentiable, and works under `jit` and `vmap` and as a reduction of a sweep. The derivative of the wall is that of the
-    tooth that left the point. Where no stock is there is no wall, but NaN. A tooth is followed up to 64°
-    from abreast of the tool centre: a displacement by half the radius within less than that is not seen.
+    tooth that left the point. A tooth is followed up to 64° from abreast of the tool centre, where its path is 0.56 R behind
+    its crest: displacements larger than that are not seen to the end.
 
     Raises `ValueError` for another side.
     """

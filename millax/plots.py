@@ -53,8 +53,8 @@ def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Fi
     for between, shade in zip(entry.values(), (0.2, 0.1), strict=False):
         for axes in grid[:, 0]:
             axes.axvspan(*between, color="0.4", alpha=shade, linewidth=0)
-    words = f"; grey: phase {' and '.join(entry)}" if entry else ""
-    grid[0, 0].set_title(f"whole cut: mean and range of every tooth period{words}", loc="left", fontsize="medium")
+    words = f"; grey: phase {', '.join(entry)}" if entry else ""
+    grid[0, 0].set_title(f"mean and range of every tooth period{words}", loc="left", fontsize="medium")
     for axis, force in forces.items():
         draw_band(grid[0, 0], time, force, steps, colour=COLOURS[axis], label=f"$F_{axis}$")
         grid[0, 1].plot(1e3 * time[last], force[last], color=COLOURS[axis])
@@ -106,7 +106,9 @@ def plot_wall(walls: Sequence[Wall], case: Case, *, zoom_turns: int = 3) -> Figu
         words = f"{side}: {'up' if side == 'left' else 'down'}-milling"
         per_turn = max(1, round(turn / float(np.median(np.diff(x)))) if x.size > 1 else 1)
         draw_band(whole, 1e3 * x, z / scale, min(per_turn, x.size), colour=WALL_COLOURS[side], label=words)
-        zoom.plot(1e3 * x[ends[side]], marks[side] / zoom_scale, color=WALL_COLOURS[side])
+        # The two may coincide: one line is wider than the other.
+        width = 3.0 if side == "left" else 1.2
+        zoom.plot(1e3 * x[ends[side]], marks[side] / zoom_scale, color=WALL_COLOURS[side], linewidth=width)
     whole.axhline(0, color="0.4", linewidth=0.8)
     whole.set_title("whole wall: mean and range of every turn", loc="left", fontsize="medium")
     zoom.set_title(f"last {zoom_turns} turns, less their mean", loc="left", fontsize="medium")
