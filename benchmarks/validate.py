@@ -17,6 +17,7 @@ SUBJECTS = {
     "oracles": "Other programs, same cut",
     "paths": "Exact tooth paths and the papers' grid, same motion",
     "numerics": "Accuracy of the scheme",
+    "surface": "Walls and entries",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
     "programs": "Programs",

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from rich.table import Table
 
-from millax import Simulation, load_case, simulate, summarize
+from millax import Simulation, load_case, simulate, summarize, wall_profile, walls
 from millax._types import AXES
 from millax._units import express
 
@@ -18,12 +18,13 @@ from ._output import console, staged
 
 
 def run_simulate(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, chip_thickness: bool = False) -> int:
-    """Simulate a case file into the directory `out_dir`: trace.csv, summary.json, trace.png. Returns the exit code 0.
+    """Simulate a case file into the directory `out_dir`: trace.csv, summary.json, trace.png, and
+    surface.png where it leaves a wall. Returns the exit code 0.
 
     `chip_thickness` adds a column per tooth to the traces. Raises `CaseError`, `SimulationError`, or `OSError` where
     nothing can be written; no file is then left.
     """
-    from millax.plots import plot_simulation
+    from millax.plots import plot_simulation, plot_wall
 
     case = load_case(case_path)
     with staged(out_dir) as folder:
@@ -36,6 +37,8 @@ def run_simulate(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, ch
         text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
         (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
         plot_simulation(sim, case).savefig(folder / "trace.png", dpi=150)
+        if left := [wall for side in walls(case) if np.isfinite((wall := wall_profile(case, sim, side)).y).any()]:
+            plot_wall(left, case).savefig(folder / "surface.png", dpi=150)
         names = ", ".join(sorted(file.name for file in folder.iterdir()))
     console.print(f"{case_path}: {sim.time.size} time steps in {seconds:.1f} s", markup=False)
     _show(summary)

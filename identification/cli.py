@@ -46,7 +46,8 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser(
         "simulate",
         help="simulate a cut",
-        description="Simulate the cut that a case file describes. Writes trace.csv, summary.json and trace.png.",
+        description="Simulate the cut that a case file describes. Writes trace.csv, summary.json and trace.png, and "
+        "surface.png where the cut leaves a wall.",
     )
     _add_paths(simulate)
     simulate.add_argument("--chip-thickness", action="store_true", help="add the chip thickness of every tooth")

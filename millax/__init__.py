@@ -12,6 +12,7 @@ from ._simulate import STATUS, Simulation, SimulationError, simulate
 from ._stock import Stock
 from ._structure import Structure
 from ._summary import summarize
+from ._surface import Roughness, Wall, form_error, phases, roughness, wall_profile, walls
 from ._sweep import SweepProgress, sweep
 from ._tool import EndMill
 from ._values import Values, sample
@@ -29,6 +30,7 @@ __all__ = [
     "FractionalLaw",
     "LinearLaw",
     "Reduction",
+    "Roughness",
     "Settings",
     "Simulation",
     "SimulationError",
@@ -36,11 +38,17 @@ __all__ = [
     "Structure",
     "SweepProgress",
     "Values",
+    "Wall",
+    "form_error",
     "load_case",
+    "phases",
+    "roughness",
     "sample",
     "set_up",
     "simulate",
     "summarize",
     "sweep",
     "use_all_cores",
+    "wall_profile",
+    "walls",
 ]

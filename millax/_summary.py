@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ._case import Case
 from ._simulate import Simulation
+from ._surface import form_error, phases, roughness, wall_profile, walls
 from ._types import AXES
 
 SETTLED = 0.03
@@ -39,6 +40,15 @@ DEFINITIONS = {
     ),
     "mean_force": ("N", "mean over the whole revolutions in the last half of the trace"),
     "peak_force": ("N", "largest force, without sign, over the whole revolutions in the last half of the trace"),
+    "phase_Ia.begin": ("s", "first contact of a tooth"),
+    "phase_Ia.end": ("s", "two teeth in contact at the same time, or the begin of phase II"),
+    "phase_Ib.begin": ("s", "two teeth in contact at the same time"),
+    "phase_Ib.end": ("s", "the begin of phase II, or the end of the trace"),
+    "phase_II.begin": ("s", "the tool centre passes the border that it feeds towards"),
+    "phase_II.end": ("s", "the tool reaches a border ahead, or the trace ends"),
+    "form_error": ("m", "mean distance of the wall from its nominal place over its last half; > 0: material is left"),
+    "roughness_ra": ("m", "mean distance of the wall from its straight mean line, over its last half, along the feed"),
+    "roughness_rz": ("m", "highest peak less deepest valley of the wall about its mean line, over its last half"),
 }
 """Unit and definition of every quantity."""
 
@@ -47,8 +57,9 @@ def summarize(sim: Simulation, case: Case) -> dict[str, dict[str, Any]]:
     """What the papers tabulate of a simulated cut.
 
     **Returns:** `{"static_displacement.x": {"value": 1.3e-4, "unit": "m", "definition": "..."}, ...}`, every one of
-    `DEFINITIONS` for x and y (also z if the tool moves in z), forces for x, y and z. A quantity that this trace does
-    not define has the value None and says why under "reason".
+    `DEFINITIONS` for x and y (also z if the tool moves in z), forces for x, y and z; begin and end of the phases of an
+    entry; and for each side on which there is a wall ("left", "right") its form error and roughness. A quantity that this
+    trace does not define has the value None and says why under "reason".
     """
     dt = float(case.cut.tooth_period(case.tool)) / case.settings.steps_per_tooth
     summary = {}
@@ -62,10 +73,23 @@ def summarize(sim: Simulation, case: Case) -> dict[str, dict[str, Any]]:
     revolution = case.settings.steps_per_tooth * case.tool.teeth
     for axis, force in zip(AXES, np.asarray(sim.force, dtype=float).T, strict=True):
         summary |= {f"{name}.{axis}": _entry(name, value) for name, value in _of_force(force, revolution).items()}
+    for phase, between in phases(case, sim).items():
+        for end, value in zip(("begin", "end"), between or ("the cut has no such phase",) * 2, strict=True):
+            summary[f"phase_{phase}.{end}"] = _entry(f"phase_{phase}.{end}", value)
+    for side in walls(case):
+        summary |= {f"{name}.{side}": _entry(name, value) for name, value in _of_wall(case, sim, side).items()}
     return summary
 
 
 _DISPLACEMENT = ("static_displacement", "overshoot", "settling_time", "first_frequency")
+
+
+def _of_wall(case: Case, sim: Simulation, side) -> dict[str, float | str]:
+    wall = wall_profile(case, sim, side)
+    found = roughness(wall)
+    values = {"form_error": form_error(wall), "roughness_ra": found.ra, "roughness_rz": found.rz}
+    short = "the wall is shorter than two turns of the tool"
+    return {name: float(value) if math.isfinite(value) else short for name, value in values.items()}
 
 
 def _entry(name: str, value: float | str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from ._case import Case
 from ._simulate import Simulation
+from ._surface import Wall, phases
 from ._types import AXES
 
 if TYPE_CHECKING:
@@ -19,13 +20,16 @@ if TYPE_CHECKING:
 COLOURS = {"x": "#0072B2", "y": "#D55E00", "z": "#009E73"}
 """Colours of the axes, told apart by colour-blind readers too (Okabe and Ito)."""
 
+WALL_COLOURS = {"left": "#CC79A7", "right": "#009E73"}
+
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
 def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Figure:
     """Forces and displacement against time: the whole cut at the left, its last tooth periods at the right.
 
-    The whole cut is drawn as a band from the smallest to the largest value in each tooth period, with the mean in it.
+    The whole cut is drawn as a band from the smallest to the largest value in each tooth period, with the mean in it. Grey
+    behind it: phases Ia and Ib of the entry.
 
     **Arguments:**
 
@@ -41,11 +45,16 @@ def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Fi
     grid = figure.subplots(2 if moves else 1, 2, sharex="col", squeeze=False)
     for axes in grid.flat:
         tidy(axes)
-    grid[0, 0].set_title("whole cut: mean and range of every tooth period", loc="left", fontsize="medium")
     grid[0, 1].set_title(f"last {periods} tooth periods", loc="left", fontsize="medium")
     grid[-1, 0].set_xlabel("time [s]")
     grid[-1, 1].set_xlabel("time [ms]")
 
+    entry = {name: between for name, between in phases(case, sim).items() if between and name != "II"}
+    for between, shade in zip(entry.values(), (0.2, 0.1), strict=False):
+        for axes in grid[:, 0]:
+            axes.axvspan(*between, color="0.4", alpha=shade, linewidth=0)
+    words = f"; grey: phase {', '.join(entry)}" if entry else ""
+    grid[0, 0].set_title(f"mean and range of every tooth period{words}", loc="left", fontsize="medium")
     for axis, force in forces.items():
         draw_band(grid[0, 0], time, force, steps, colour=COLOURS[axis], label=f"$F_{axis}$")
         grid[0, 1].plot(1e3 * time[last], force[last], color=COLOURS[axis])
@@ -62,6 +71,53 @@ def plot_simulation(sim: Simulation, case: Case, *, zoom_periods: int = 3) -> Fi
         grid[1, 0].set_ylabel(f"displacement [{prefix}m]")
         grid[1, 1].set_ylabel(f"displacement less its mean [{zoom_prefix}m]")
         grid[1, 0].legend(frameon=False)
+    return figure
+
+
+def plot_wall(walls: Sequence[Wall], case: Case, *, zoom_turns: int = 3) -> Figure:
+    """How far the walls of a cut lie from their nominal place: the whole cut at the left, its last turns at the right.
+
+    The whole wall is drawn as a band from the smallest to the largest deviation in each turn of the tool, with the mean in
+    it; at the right the mean is taken out. Up is material left.
+
+    **Arguments:**
+
+    - `walls`: one or both walls, `millax.wall_profile` along the whole path, and `case`, the case they came from.
+    - `zoom_turns`: turns of the tool at the right, >= 1.
+
+    Raises `ValueError` where no wall has a point.
+    """
+    there = [np.isfinite(np.asarray(wall.y)) for wall in walls]
+    if not any(map(np.any, there)):
+        raise ValueError("there is nothing to draw: none of the walls has a point")
+    turn = case.tool.teeth * float(case.cut.feed_per_tooth(case.tool))
+    figure = Figure(figsize=(10, 3.4), layout="constrained")
+    whole, zoom = figure.subplots(1, 2)
+    parts = {
+        wall.side: (np.asarray(wall.x)[inside], np.asarray(wall.deviation)[inside])
+        for wall, inside in zip(walls, there, strict=True)
+        if inside.any()
+    }
+    ends = {side: x > x[-1] - zoom_turns * turn for side, (x, _) in parts.items()}
+    marks = {side: z[ends[side]] - z[ends[side]].mean() for side, (_, z) in parts.items()}
+    scale, prefix = si_prefix(z for _, z in parts.values())
+    zoom_scale, zoom_prefix = si_prefix(marks.values())
+    for side, (x, z) in parts.items():
+        words = f"{side}: {'up' if side == 'left' else 'down'}-milling"
+        per_turn = max(1, round(turn / float(np.median(np.diff(x)))) if x.size > 1 else 1)
+        draw_band(whole, 1e3 * x, z / scale, min(per_turn, x.size), colour=WALL_COLOURS[side], label=words)
+        # The two may coincide: one line is wider than the other.
+        width = 3.0 if side == "left" else 1.2
+        zoom.plot(1e3 * x[ends[side]], marks[side] / zoom_scale, color=WALL_COLOURS[side], linewidth=width)
+    whole.axhline(0, color="0.4", linewidth=0.8)
+    whole.set_title("whole wall: mean and range of every turn", loc="left", fontsize="medium")
+    zoom.set_title(f"last {zoom_turns} turns, less their mean", loc="left", fontsize="medium")
+    for axes in (whole, zoom):
+        tidy(axes)
+        axes.set_xlabel("x [mm]")
+    whole.set_ylabel(f"material left [{prefix}m]")
+    zoom.set_ylabel(f"material left [{zoom_prefix}m]")
+    whole.legend(frameon=False)
     return figure
 
 

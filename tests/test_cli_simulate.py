@@ -70,6 +70,20 @@ def test_the_files_of_a_simulation(case_file, tmp_path, capsys):
     assert "\x1b" not in printed
 
 
+def test_the_wall_of_a_cut_that_leaves_one(case_file, tmp_path):
+    out = tmp_path / "out"
+    case_file.write_text(
+        TEXT.replace("[structure]", '[stock]\ny = ["-20 mm", "0 mm"]\n[structure]').replace('"0.06 s"', '"0.16 s"')
+    )
+    assert main(["simulate", str(case_file), "--out", str(out)]) == 0
+    assert files(out) == {"trace.csv", "summary.json", "trace.png", "surface.png"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert "form_error.left" not in summary
+    # The tool is pushed towards +y, away from the wall at its right.
+    assert 0 < summary["form_error.right"]["value"] < 1e-3
+    assert summary["phase_II.begin"]["value"] == pytest.approx(0.15, abs=5e-3)
+
+
 def test_chip_thickness_on_request(case_file, tmp_path):
     assert main(["simulate", str(case_file), "--out", str(tmp_path / "out"), "--chip-thickness"]) == 0
     with open(tmp_path / "out" / "trace.csv") as file:
