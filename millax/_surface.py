@@ -85,13 +85,15 @@ class TipPaths(NamedTuple):
         return x + radius * jnp.cos(phi), y - radius * jnp.sin(phi)
 
 
-def tip_paths(case: Case, sim: Simulation) -> TipPaths:
-    """The paths of the tooth tips of `sim`, the simulation of `case`."""
+def tip_paths(case: Case, sim: Simulation, height: Float[Array, ""] | float = 0.0) -> TipPaths:
+    """The paths of the teeth at a height above their tips [m] in `sim`, the simulation of `case`."""
     tool, cut = case.tool, case.cut
+    lag = tool.lag(jnp.asarray(height, dtype=float))
+    deviation = tool.deviation(lag)
     still = jnp.zeros(sim.time.size)
     return TipPaths(
-        angles=jnp.arange(tool.teeth) * (2 * np.pi / tool.teeth),
-        radii=jnp.broadcast_to(tool.radius, (tool.teeth,)),
+        angles=jnp.arange(tool.teeth) * (2 * np.pi / tool.teeth) - lag,
+        radii=jnp.broadcast_to(tool.radius, (tool.teeth,)) + (0.0 if deviation is None else deviation),
         speed=cut.spindle_speed,
         feed_rate=cut.feed_rate,
         start=cut.start,
@@ -132,7 +134,13 @@ def walls(case: Case) -> tuple[Side, ...]:
     return tuple(side for side in SIDES if _length_inside(case.stock, (start, end), float(_nominal(case, SIDES[side]))) > 0)
 
 
-def wall_profile(case: Case, sim: Simulation, side: Side, x: Float[Array, " points"] | None = None) -> Wall:
+def wall_profile(
+    case: Case,
+    sim: Simulation,
+    side: Side,
+    x: Float[Array, " points"] | None = None,
+    height: Float[Array, ""] | float = 0.0,
+) -> Wall:
     """The wall that the teeth of a simulated cut leave on one side of the tool.
 
     **Arguments:**
@@ -141,6 +149,8 @@ def wall_profile(case: Case, sim: Simulation, side: Side, x: Float[Array, " poin
     - `side`: "left" or "right", seen along the feed; `walls` says which there are.
     - `x`: where to look at the wall [m], shape (points,); 64 points per feed per tooth resolve the height of feed marks to
       3 %. None: along the whole path of the tool centre, `PER_FEED` points per feed per tooth.
+
+    - `height`: above the tip of the tool [m], 0 to the depth of cut: with a helix every height is cut at another moment.
 
     Differentiable, and works under `jit` and `vmap` and as a reduction of a sweep. The derivative of the wall is that of the
     tooth that left the point. A tooth is followed up to 64° from abreast of the tool centre, where its path is 0.56 R behind
@@ -154,14 +164,14 @@ def wall_profile(case: Case, sim: Simulation, side: Side, x: Float[Array, " poin
     if x is None:
         x = cut.start[0] + feed * (np.arange(case.settings.periods * PER_FEED) + 0.5) / PER_FEED
     x = jnp.asarray(x, dtype=float)
-    y, nominal = _wall(case, sim, jnp.asarray(SIDES[side]), x)
+    y, nominal = _wall(case, sim, jnp.asarray(SIDES[side]), x, jnp.asarray(height, dtype=float))
     return Wall(x, y, nominal, side)
 
 
 @eqx.filter_jit
-def _wall(case: Case, sim: Simulation, sign: Scalar, x: Float[Array, " points"]) -> tuple[Array, Scalar]:
+def _wall(case: Case, sim: Simulation, sign: Scalar, x: Float[Array, " points"], height: Scalar) -> tuple[Array, Scalar]:
     """y of a wall, and of the nominal one. The side is its sign: both are one program."""
-    paths, nominal = tip_paths(case, sim), _nominal(case, sign)
+    paths, nominal = tip_paths(case, sim, height), _nominal(case, sign)
     feed = case.cut.feed_per_tooth(case.tool)
     crests = _crests(paths, sign, case.settings.periods)
     winner = _winner(*lax.stop_gradient((paths, crests, x, feed)), sign)

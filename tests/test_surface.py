@@ -281,3 +281,31 @@ def test_the_picture_of_a_wall():
     labels = " ".join(f"{axes.get_xlabel()} {axes.get_ylabel()}" for axes in figure.axes)
     assert "x [mm]" in labels
     assert "[nm]" in labels  # feed marks and nothing else
+
+
+def test_a_tooth_that_stands_out_leaves_marks_of_its_own():
+    case = rigid()
+    case = eqx.tree_at(lambda c: c.tool, case, mx.EndMill(2 * RADIUS, TEETH, runout=[0.0, 2e-5, 0.0, 0.0]))
+    deviation = np.asarray(mx.wall_profile(case, moved(case), "right", middle()).deviation)
+    per_turn = TEETH * FEED
+    height = per_turn**2 / (8 * RADIUS * (1 - per_turn / (2 * np.pi * RADIUS)) ** 2)
+    assert np.ptp(deviation) == pytest.approx(height, rel=4e-3)
+    assert deviation.min() == pytest.approx(-2e-5, abs=1e-9)
+
+
+def test_with_a_helix_every_height_is_cut_at_a_moment_of_its_own():
+    """A tool that shakes once per tooth: the wall at height z is its place z tan(beta)/(R Omega) later than at the tip."""
+    straight = rigid(steps_per_tooth=40)
+    case = eqx.tree_at(lambda c: c.tool, straight, mx.EndMill(2 * RADIUS, TEETH, helix=np.radians(30)))
+    height, speed = 5e-3, float(case.cut.spindle_speed)
+    later = height * np.tan(np.radians(30)) / RADIUS / speed
+
+    def shaken(by):
+        time = moved(straight).time + by
+        return moved(straight, y=2e-5 * jnp.sin(speed * TEETH * time + 0.3))
+
+    x = middle(101)
+    found = mx.wall_profile(case, shaken(0.0), "left", x, height=height)
+    expected = mx.wall_profile(straight, shaken(later), "left", x + FEED * TEETH * speed / (2 * np.pi) * -later)
+    np.testing.assert_allclose(found.y, expected.y, atol=2e-9)
+    assert abs(float(mx.form_error(found) - mx.form_error(mx.wall_profile(straight, shaken(0.0), "left", x)))) > 1e-6
