@@ -56,8 +56,8 @@ class Comparison(eqx.Module):
 def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Comparison:
     """Check `trace` against `case`, in which the numbers `free_names` will vary.
 
-    Raises `TraceError` for a displacement in a direction in which the structure does not move, an axial force (straight
-    flutes have none), a trace sampled too coarsely or too short for the tooth period, and one that begins before the
+    Raises `TraceError` for a displacement in a direction in which the structure does not move, an axial force where the law
+    has none, a trace sampled too coarsely or too short for the tooth period, and one that begins before the
     simulation or ends after it.
     """
     for channel in trace.channels:
@@ -67,8 +67,10 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
                 f"{trace.name}: channel {channel}: the structure of the case moves {moves}. Leave the channel out, or "
                 "add the axis to the structure"
             )
-        if channel == "Fz":
-            raise TraceError(f"{trace.name}: channel Fz: straight flutes have no axial force. Leave the channel out")
+        if channel == "Fz" and case.force.ka is None:
+            raise TraceError(
+                f"{trace.name}: channel Fz: the force law has no axial force. Give force.ka, or leave the channel out"
+            )
     tooth_period = float(case.cut.tooth_period(case.tool))
     step = tooth_period / case.settings.steps_per_tooth
     if trace.step > tooth_period / PER_TOOTH * (1 + 1e-9):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ._chip import Angles
-from ._forces import UNIT, ForceLaw, work
+from ._forces import ForceLaw, UnitLaw, work
 from ._math import half_change, minimum, positive_part, stored
 from ._stock import Stock
 from ._types import Scalar
@@ -86,7 +86,7 @@ class Contact(NamedTuple):
 def fully_inside(law: ForceLaw, gap, rate, step_angle: float, width: Scalar) -> Contact:
     """Mean force and thickness in each step of teeth that meet no border; arguments as in `crossing`."""
     half = half_change(rate, step_angle, width)
-    engaged = None if law.own_edges is None else _mean_force(UNIT, gap, half)
+    engaged = None if law.own_edges is None else _mean_force(UnitLaw(), gap, half)
     return Contact(_mean_force(law, gap, half), engaged, None, positive_part(gap, half))
 
 
@@ -138,7 +138,7 @@ def crossing(
     h, start, end = stored(near, passage, borders, displacement, gap, rate, width)
     ramp_low, ramp_high, part, per_length, mean, turn = stored(near, parts, h, start, end, rate, width)
     met = gap, rate, turn, ramp_low, ramp_high, part, per_length, width
-    engaged = None if law.own_edges is None else forces(UNIT, *met)
+    engaged = None if law.own_edges is None else forces(UnitLaw(), *met)
     return Contact(forces(law, *met), engaged, turn, mean)
 
 

@@ -195,10 +195,6 @@ class UnitLaw(ForceLaw):
         return high - low
 
 
-UNIT = UnitLaw()
-"""Only to be integrated."""
-
-
 def _finite_if_given(law: ForceLaw, *names: str) -> None:
     for name in names:
         if getattr(law, name) is not None:
