@@ -1,0 +1,134 @@
+"""The linearised cut: structure and process matrices as one delay equation, and its Floquet multipliers.
+
+    M q'' + C q' + K q = S^T [ P_0(t) u(t) + sum_k ( P_k(t) u(t - k tau) + V_k(t) u'(t - k tau) ) ],      u = S q.
+
+The process matrices are derivatives of the engine's force (`_steady.process_matrices`), the delay equation is solved by
+semi-discretisation (`_semidiscretisation`). With x = (q, dt q') all entries of the state have one unit.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._case import Case
+from ._semidiscretisation import DelayEquation, leading, monodromy, multipliers, over_period
+from ._semidiscretisation import integrated as integrate
+from ._settings import fastest_rate
+from ._steady import process_matrices, seen, steady
+
+ORDER = 3
+"""Of the polynomials through earlier displacements."""
+
+STEPS = (40, 60, 80, 120, 160, 240, 320, 480, 640)
+"""Resolutions to choose from: a few, since each is compiled."""
+
+PER_VIBRATION = 12
+"""Fewest steps per period of the fastest mode. With these, and polynomials of order 3, limits are good to 0.5 %."""
+
+
+def resolution(case: Case, fewest: int = 40) -> int:
+    """Steps per tooth period that resolve the teeth and the structure."""
+    s = case.structure
+    fastest = float(fastest_rate(s.mass_matrix, s.damping_matrix, s.stiffness_matrix))
+    needed = max(fewest, PER_VIBRATION * fastest * float(case.cut.tooth_period(case.tool)) / (2 * math.pi))
+    enough = [steps for steps in STEPS if steps >= needed]
+    if not enough:
+        raise ValueError(
+            f"structure: its fastest mode ({fastest / (2 * math.pi):.4g} Hz) swings {needed / PER_VIBRATION:.0f} times in a "
+            f"tooth period, more than the {STEPS[-1] // PER_VIBRATION} that are resolved. Leave out modes far above the "
+            "frequency of chatter, or raise cut.spindle_speed"
+        )
+    return enough[0]
+
+
+def delay_equation(case: Case, steps: int) -> DelayEquation:
+    """Of a steady case, with `steps` steps in a tooth period; one delay, of one tooth period."""
+    structure, n = case.structure, case.structure.coordinates
+    process = process_matrices(case, steps)
+    dt = case.cut.tooth_period(case.tool) / steps
+    shapes = structure.in_plane_shapes
+    directions = list(seen(case))
+
+    def accelerated(force):
+        """The lower half of the equation, in which the force on the coordinates acts."""
+        lower = dt * jnp.linalg.solve(structure.mass_matrix, force)
+        return jnp.concatenate([jnp.zeros_like(lower), lower], axis=-2)
+
+    stiffness = jnp.einsum("ia,tij,jb->tab", shapes, process.now, shapes) - structure.stiffness_matrix
+    moving = jnp.zeros((2 * n, n)).at[:n].set(jnp.eye(n) / dt)
+    damping = moving - accelerated(structure.damping_matrix / dt)
+    present = jnp.concatenate([accelerated(stiffness), jnp.broadcast_to(damping, (steps, 2 * n, n))], axis=-1)
+
+    def earlier(matrices):
+        return accelerated(jnp.einsum("ia,ktij->ktaj", shapes, matrices))[..., directions]
+
+    return DelayEquation(
+        present,
+        earlier(process.earlier),
+        earlier(process.earlier_rate),
+        jnp.concatenate([shapes, jnp.zeros_like(shapes)], axis=1)[jnp.array(directions, dtype=int)],
+        dt,
+    )
+
+
+def lags(steps: int) -> tuple[float, ...]:
+    """The delays in steps."""
+    return (float(steps),)
+
+
+@eqx.filter_jit
+def _matrices(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int):
+    def of(speed, feed, depth):
+        changed = eqx.tree_at(lambda c: (c.cut.spindle_speed, c.cut.feed_rate, c.cut.depth), case, (speed, feed, depth))
+        return monodromy(delay_equation(steady(changed, borders), steps), lags(steps), ORDER)
+
+    return jax.vmap(of)(speeds, feed_rates, depths)
+
+
+TOGETHER = 16
+"""Matrices computed at once."""
+
+
+def leading_multipliers(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int) -> np.ndarray:
+    """The largest Floquet multiplier for each speed [rad/s], feed rate [m/s] and depth [m], three arrays of shape (n,)."""
+    n = len(speeds)
+    found = np.zeros(n, dtype=complex)
+    for first in range(0, n, TOGETHER):
+        # Filled up, so that one program serves all.
+        part = np.minimum(np.arange(first, first + TOGETHER), n - 1)
+        matrices = np.asarray(_matrices(case, speeds[part], feed_rates[part], depths[part], borders, steps))
+        for i, matrix in zip(part[: n - first], matrices, strict=False):
+            found[i] = multipliers(matrix)[0] if np.isfinite(matrix).all() else np.nan
+    return found
+
+
+def radius_and_gradient(case: Case, borders: tuple[int, ...], steps: int) -> tuple[float, Case]:
+    """Spectral radius of the map over a tooth period, and its derivatives by every number of the case.
+
+    dmu = w^H dPhi v with the eigenvectors of the multiplier mu, so the gradient is that of a scalar: Phi v costs one run
+    through the period.
+    """
+    cut = case.cut
+    matrix = _matrices(case, cut.spindle_speed[None], cut.feed_rate[None], cut.depth[None], borders, steps)[0]
+    mu, v, w = leading(np.asarray(matrix))
+    # d abs(mu) = Re(conj(mu)/abs(mu) dmu)
+    w = w * (mu / abs(mu) if mu else 1.0)
+    gradient = _gradient(case, _columns(v), _columns(w), borders, steps)
+    return abs(mu), gradient
+
+
+def _columns(x: np.ndarray) -> Float[Array, "N 2"]:
+    return jnp.asarray(np.stack([x.real, x.imag], axis=1))
+
+
+@eqx.filter_jit
+def _gradient(case: Case, v, w, borders: tuple[int, ...], steps: int) -> Case:
+    def projected(case):
+        steps_of = integrate(delay_equation(steady(case, borders), steps), lags(steps), ORDER)
+        return jnp.sum(w * over_period(steps_of, lags(steps), v))  # Re(w^H Phi v)
+
+    return eqx.filter_grad(projected)(case)
