@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._case import Case
+from ._krylov import SPACE, arnoldi, largest
 from ._semidiscretisation import DelayEquation, leading, monodromy, multipliers, over_period
 from ._semidiscretisation import integrated as integrate
 from ._settings import fastest_rate
-from ._steady import process_matrices, seen, steady
+from ._steady import process_matrices, seen, steady, with_cut
 
 ORDER = 3
 """Of the polynomials through earlier displacements."""
@@ -80,29 +81,46 @@ def lags(steps: int) -> tuple[float, ...]:
     return (float(steps),)
 
 
+def _matrix(case: Case, borders: tuple[int, ...], steps: int) -> Float[Array, "N N"]:
+    """Of the map over a tooth period."""
+    return monodromy(delay_equation(steady(case, borders), steps), lags(steps), ORDER)
+
+
 @eqx.filter_jit
-def _matrices(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int):
+def _spaces(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int):
     def of(speed, feed, depth):
-        changed = eqx.tree_at(lambda c: (c.cut.spindle_speed, c.cut.feed_rate, c.cut.depth), case, (speed, feed, depth))
-        return monodromy(delay_equation(steady(changed, borders), steps), lags(steps), ORDER)
+        matrix = _matrix(with_cut(case, speed, feed, depth), borders, steps)
+        start = jnp.asarray(np.random.default_rng(0).normal(size=len(matrix)), matrix.dtype)
+        return arnoldi(lambda x: matrix @ x, start, min(SPACE, len(matrix)))[1]
 
     return jax.vmap(of)(speeds, feed_rates, depths)
 
 
+@eqx.filter_jit
+def _matrix_of(case: Case, borders: tuple[int, ...], steps: int) -> Array:
+    return _matrix(case, borders, steps)
+
+
 TOGETHER = 16
-"""Matrices computed at once."""
+"""Most matrices computed at once."""
 
 
 def leading_multipliers(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int) -> np.ndarray:
     """The largest Floquet multiplier for each speed [rad/s], feed rate [m/s] and depth [m], three arrays of shape (n,)."""
     n = len(speeds)
+    together = 1 if n == 1 else 4 if n <= 4 else TOGETHER
     found = np.zeros(n, dtype=complex)
-    for first in range(0, n, TOGETHER):
-        # Filled up, so that one program serves all.
-        part = np.minimum(np.arange(first, first + TOGETHER), n - 1)
-        matrices = np.asarray(_matrices(case, speeds[part], feed_rates[part], depths[part], borders, steps))
-        for i, matrix in zip(part[: n - first], matrices, strict=False):
-            found[i] = multipliers(matrix)[0] if np.isfinite(matrix).all() else np.nan
+    for first in range(0, n, together):
+        # Filled up, so that few programs serve all.
+        part = np.minimum(np.arange(first, first + together), n - 1)
+        cuts = speeds[part], feed_rates[part], depths[part]
+        for i, space, cut in zip(
+            part[: n - first], np.asarray(_spaces(case, *cuts, borders, steps)), zip(*cuts, strict=True), strict=False
+        ):
+            found[i] = largest(space)
+            if not np.isfinite(found[i]):
+                matrix = np.asarray(_matrix_of(with_cut(case, *cut), borders, steps))
+                found[i] = multipliers(matrix)[0] if np.isfinite(matrix).all() else np.nan
     return found
 
 
@@ -112,9 +130,7 @@ def radius_and_gradient(case: Case, borders: tuple[int, ...], steps: int) -> tup
     dmu = w^H dPhi v with the eigenvectors of the multiplier mu, so the gradient is that of a scalar: Phi v costs one run
     through the period.
     """
-    cut = case.cut
-    matrix = _matrices(case, cut.spindle_speed[None], cut.feed_rate[None], cut.depth[None], borders, steps)[0]
-    mu, v, w = leading(np.asarray(matrix))
+    mu, v, w = leading(np.asarray(_matrix_of(case, borders, steps)))
     # d abs(mu) = Re(conj(mu)/abs(mu) dmu)
     w = w * (mu / abs(mu) if mu else 1.0)
     gradient = _gradient(case, _columns(v), _columns(w), borders, steps)

@@ -73,7 +73,9 @@ def integrated(equation: DelayEquation, lags: tuple[float, ...], order: int = 3)
     """
     for lag in lags:
         if first_index(lag, order) < order:
-            raise ValueError(f"lags: {lag:g} steps given; with order {order} a delay must be at least {order / 2:g} steps long")
+            raise ValueError(
+                f"lags: {lag:g} steps given; with order {order} a delay must be at least {order / 2:g} steps long"
+            )
     own, moments = _moments(equation.present, equation.step, order)
     by = []
     for j, lag in enumerate(lags):
@@ -151,9 +153,7 @@ def _moments(a: Float[Array, "L n n"], h: Scalar, order: int) -> tuple[Array, Fl
     moments = [part * m for m in moments]
     for _ in range(HALVINGS):
         # The first half of the doubled step goes on through the second one; in that, s/h has grown by 1.
-        moments = [
-            (own @ m + sum(math.comb(p, k) * moments[k] for k in range(p + 1))) / 2**p for p, m in enumerate(moments)
-        ]
+        moments = [(own @ m + sum(math.comb(p, k) * moments[k] for k in range(p + 1))) / 2**p for p, m in enumerate(moments)]
         own = own @ own
     return own, jnp.stack(moments)
 

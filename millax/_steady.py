@@ -76,6 +76,12 @@ def steady(case: Case, borders: tuple[int, ...]) -> Case:
     return dataclasses.replace(case, stock=Stock(case.stock.normals[kept], case.stock.offsets[kept]))
 
 
+def with_cut(case: Case, speed, feed_rate, depth) -> Case:
+    """The case with another spindle speed [rad/s], feed rate [m/s] and depth [m]."""
+    where = lambda c: (c.cut.spindle_speed, c.cut.feed_rate, c.cut.depth)  # noqa: E731
+    return eqx.tree_at(where, case, tuple(map(jnp.asarray, (speed, feed_rate, depth))))
+
+
 def is_traced(case: Case) -> bool:
     """Whether some number of the case has no value yet."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(case))
