@@ -6,87 +6,78 @@ march gives: in the Krylov space of a vector, spanned by Arnoldi's method, Newto
 multipliers are found. No matrix is larger than that space.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ._case import Case
 from ._krylov import SPACE, arnoldi, largest
-from ._steady import Period, steady, with_cut
-from ._types import Scalar
+from ._steady import Orbit, Period, steady, with_cut
 
-NEWTON_STEPS = 4
-"""Newton's method converges in two: the force hardly depends on the motion along the orbit."""
+MOST_STEPS = 8
+"""Steps of Newton's method. One or two are enough, since along the orbit the force hardly depends on the motion."""
 
-CLOSED = 1e-6
+CLOSED = 1e-7
 """What may be missing from the orbit to close, over the feed per tooth [-]."""
 
 
-class Found(NamedTuple):
-    """Around one orbit."""
+@dataclass(frozen=True)
+class PeriodicOrbit:
+    """A periodic motion of the engine, stable or not.
 
-    space: Float[Array, "SPACE+1 SPACE"]
-    """H: dG/dz in the Krylov space."""
-    residual: Scalar
-    """How far the orbit is from closing, over the feed per tooth [-]."""
+    - `start`: what it leaves to the next tooth period.
+    - `residual`: by how much it does not close, over the feed per tooth [-].
+    - `multiplier`: the largest Floquet multiplier around it; NaN where its iteration has not converged.
+    """
 
-
-def orbit_and_space(period: Period, space: int = SPACE) -> tuple[Array, Found]:
-    """The periodic orbit as a vector, and dG/dz around it."""
-    guess, unravel = ravel_pytree(period.under_rigid_force())
-
-    def mapped(z):
-        return ravel_pytree(period(unravel(z)))[0]
-
-    # A vector with a part along every eigenvector, the same in every run.
-    any_vector = jnp.asarray(np.random.default_rng(0).normal(size=len(guess)), guess.dtype)
-
-    def step(i, found):
-        z, *_ = found
-        value, linear = jax.linearize(mapped, z)
-        missing, last = z - value, i == NEWTON_STEPS
-        basis, h = arnoldi(linear, jnp.where(last, any_vector, missing), space)
-        # (dG/dz - 1) dz = z - G(z) in the least-squares sense.
-        shifted = h - jnp.eye(space + 1, space)
-        target = jnp.zeros(space + 1).at[0].set(jnp.linalg.norm(missing))
-        change = jnp.linalg.lstsq(shifted, target)[0] @ basis[:space]
-        return jnp.where(last, z, z + change), h, jnp.max(jnp.abs(missing))
-
-    # One step more than Newton's: at the orbit, for its multipliers.
-    start = (guess, jnp.zeros((space + 1, space)), jnp.zeros(()))
-    z, h, missing = lax.fori_loop(0, NEWTON_STEPS + 1, step, start)
-    return z, Found(h, missing / jnp.maximum(period.model.feed_per_tooth, 1e-30))
+    start: Orbit
+    residual: float
+    multiplier: complex
 
 
 @eqx.filter_jit
-def _spaces(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...]):
-    def of(speed, feed, depth):
-        return orbit_and_space(Period.of(steady(with_cut(case, speed, feed, depth), borders)))[1]
+def _around(case: Case, borders: tuple[int, ...], z: Orbit | None, direction: Float[np.ndarray, " N"] | None):
+    """A motion z (None: one close to the orbit), what it misses to close, and dG/dz in the Krylov space of a direction
+    (None: of what is missing)."""
+    period = Period.of(steady(case, borders))
+    at, unravel = ravel_pytree(period.under_rigid_force() if z is None else z)
+    value, linear = jax.linearize(lambda z: ravel_pytree(period(unravel(z)))[0], at)
+    missing = at - value
+    basis, h = arnoldi(linear, missing if direction is None else direction, SPACE)
+    return unravel(at), missing, basis, h, period.model.feed_per_tooth
 
-    return jax.vmap(of)(speeds, feed_rates, depths)
+
+def periodic_orbit(case: Case, borders: tuple[int, ...]) -> PeriodicOrbit:
+    """The periodic motion of a cut, with the settings of its case."""
+    z = None
+    for _ in range(MOST_STEPS):
+        z, *rest = _around(case, borders, z, None)
+        missing, basis, h, feed = map(np.asarray, rest)
+        residual = float(np.abs(missing).max() / feed)
+        if not np.isfinite(h).all():
+            return PeriodicOrbit(z, np.inf, complex(np.nan))
+        if residual < CLOSED:
+            break
+        # (dG/dz - 1) dz = z - G(z), in the least-squares sense.
+        target = np.eye(1, len(h))[0] * np.linalg.norm(missing)
+        change = np.linalg.lstsq(h - np.eye(*h.shape), target)[0] @ basis[:-1]
+        at, unravel = ravel_pytree(z)
+        z = unravel(at + change)
+    # A direction with a part along every eigenvector, the same in every run.
+    direction = np.random.default_rng(0).normal(size=len(missing))
+    h = np.asarray(_around(case, borders, z, jnp.asarray(direction, missing.dtype))[3])
+    return PeriodicOrbit(z, residual, largest(h))
 
 
-TOGETHER = 4
-"""Orbits computed at once."""
-
-
-def leading_multipliers(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...]) -> np.ndarray:
-    """The largest Floquet multiplier for each speed [rad/s], feed rate [m/s] and depth [m], three arrays of shape (n,).
+def leading_multipliers(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarray:
+    """The largest Floquet multiplier of cuts: speeds [rad/s], feed rates [m/s] and depths [m], three arrays of shape (n,).
 
     The settings of the case count. NaN where no orbit is found, or its multipliers have not converged.
     """
-    n = len(speeds)
-    found = np.full(n, np.nan, dtype=complex)
-    for first in range(0, n, TOGETHER):
-        part = np.minimum(np.arange(first, first + TOGETHER), n - 1)
-        spaces, residuals = map(np.asarray, _spaces(case, speeds[part], feed_rates[part], depths[part], borders))
-        for i, h, residual in zip(part[: n - first], spaces, residuals, strict=False):
-            if np.isfinite(h).all() and residual < CLOSED:
-                found[i] = largest(h)
-    return found
+    orbits = [periodic_orbit(with_cut(case, *cut), borders) for cut in zip(*cuts, strict=True)]
+    return np.array([o.multiplier if o.residual < CLOSED else complex(np.nan) for o in orbits])

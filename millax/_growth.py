@@ -7,13 +7,12 @@ Floquet multiplier per period. No derivative is taken, and every nonlinearity co
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._case import Case
-from ._steady import Period, steady, with_cut
+from ._steady import Period, looped, one_by_one, steady, with_cut
 from ._types import Scalar
 
 KICK = 1e-3
@@ -22,7 +21,7 @@ KICK = 1e-3
 LARGE = 0.1
 """Vibration, over the feed per tooth, at which it is no longer small, and is not looked at any more [-]."""
 
-PERIODS = 240
+PERIODS = 600
 """Tooth periods simulated."""
 
 
@@ -53,23 +52,13 @@ def growth(period: Period, periods: int = PERIODS) -> Scalar:
 
 
 @eqx.filter_jit
-def _growth(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...]) -> Float[Array, " n"]:
-    def of(speed, feed, depth):
-        return growth(Period.of(steady(with_cut(case, speed, feed, depth), borders)))
+def _growth(case: Case, cuts, count, borders: tuple[int, ...]) -> Float[Array, " n"]:
+    def of(*cut):
+        return growth(Period.of(steady(with_cut(case, *cut), borders)))
 
-    return jax.vmap(of)(speeds, feed_rates, depths)
-
-
-TOGETHER = 8
-"""Cuts simulated at once."""
+    return looped(of, cuts, count)
 
 
-def growths(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...]) -> np.ndarray:
-    """`growth` for each speed [rad/s], feed rate [m/s] and depth [m], three arrays of shape (n,). The settings count."""
-    n = len(speeds)
-    found = np.empty(n)
-    for first in range(0, n, TOGETHER):
-        part = np.minimum(np.arange(first, first + TOGETHER), n - 1)
-        values = np.asarray(_growth(case, speeds[part], feed_rates[part], depths[part], borders))
-        found[part] = values
-    return found
+def growths(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarray:
+    """`growth` of cuts: speeds [rad/s], feed rates [m/s] and depths [m], three arrays of shape (n,). The settings count."""
+    return one_by_one(lambda cuts, count: _growth(case, cuts, count, borders), cuts)

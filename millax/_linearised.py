@@ -9,7 +9,6 @@ semi-discretisation (`_semidiscretisation`). With x = (q, dt q') all entries of 
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,19 +18,19 @@ from ._krylov import SPACE, arnoldi, largest
 from ._semidiscretisation import DelayEquation, leading, monodromy, multipliers, over_period
 from ._semidiscretisation import integrated as integrate
 from ._settings import fastest_rate
-from ._steady import process_matrices, seen, steady, with_cut
+from ._steady import looped, one_by_one, process_matrices, seen, steady, with_cut
 
 ORDER = 3
 """Of the polynomials through earlier displacements."""
 
-STEPS = (40, 60, 80, 120, 160, 240, 320, 480, 640)
+STEPS = (80, 120, 160, 240, 320, 480, 640)
 """Resolutions to choose from: a few, since each is compiled."""
 
 PER_VIBRATION = 12
 """Fewest steps per period of the fastest mode. With these, and polynomials of order 3, limits are good to 0.5 %."""
 
 
-def resolution(case: Case, fewest: int = 40) -> int:
+def resolution(case: Case, fewest: int = 80) -> int:
     """Steps per tooth period that resolve the teeth and the structure."""
     s = case.structure
     fastest = float(fastest_rate(s.mass_matrix, s.damping_matrix, s.stiffness_matrix))
@@ -87,13 +86,13 @@ def _matrix(case: Case, borders: tuple[int, ...], steps: int) -> Float[Array, "N
 
 
 @eqx.filter_jit
-def _spaces(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int):
-    def of(speed, feed, depth):
-        matrix = _matrix(with_cut(case, speed, feed, depth), borders, steps)
+def _spaces(case: Case, cuts, count, borders: tuple[int, ...], steps: int):
+    def of(*cut):
+        matrix = _matrix(with_cut(case, *cut), borders, steps)
         start = jnp.asarray(np.random.default_rng(0).normal(size=len(matrix)), matrix.dtype)
         return arnoldi(lambda x: matrix @ x, start, min(SPACE, len(matrix)))[1]
 
-    return jax.vmap(of)(speeds, feed_rates, depths)
+    return looped(of, cuts, count)
 
 
 @eqx.filter_jit
@@ -101,26 +100,13 @@ def _matrix_of(case: Case, borders: tuple[int, ...], steps: int) -> Array:
     return _matrix(case, borders, steps)
 
 
-TOGETHER = 16
-"""Most matrices computed at once."""
-
-
-def leading_multipliers(case: Case, speeds, feed_rates, depths, borders: tuple[int, ...], steps: int) -> np.ndarray:
-    """The largest Floquet multiplier for each speed [rad/s], feed rate [m/s] and depth [m], three arrays of shape (n,)."""
-    n = len(speeds)
-    together = 1 if n == 1 else 4 if n <= 4 else TOGETHER
-    found = np.zeros(n, dtype=complex)
-    for first in range(0, n, together):
-        # Filled up, so that few programs serve all.
-        part = np.minimum(np.arange(first, first + together), n - 1)
-        cuts = speeds[part], feed_rates[part], depths[part]
-        for i, space, cut in zip(
-            part[: n - first], np.asarray(_spaces(case, *cuts, borders, steps)), zip(*cuts, strict=True), strict=False
-        ):
-            found[i] = largest(space)
-            if not np.isfinite(found[i]):
-                matrix = np.asarray(_matrix_of(with_cut(case, *cut), borders, steps))
-                found[i] = multipliers(matrix)[0] if np.isfinite(matrix).all() else np.nan
+def leading_multipliers(case: Case, cuts, borders: tuple[int, ...], steps: int) -> np.ndarray:
+    """The largest Floquet multiplier of cuts: speeds [rad/s], feed rates [m/s], depths [m], three arrays of shape (n,)."""
+    spaces = one_by_one(lambda cuts, count: _spaces(case, cuts, count, borders, steps), cuts)
+    found = np.array([largest(space) for space in spaces])
+    for i in np.flatnonzero(~np.isfinite(found)):
+        matrix = np.asarray(_matrix_of(with_cut(case, *(x[i] for x in cuts)), borders, steps))
+        found[i] = multipliers(matrix)[0] if np.isfinite(matrix).all() else np.nan
     return found
 
 

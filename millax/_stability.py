@@ -21,7 +21,7 @@ from ._case import Case
 from ._runtime import double_precision
 from ._settings import Settings
 from ._simulate import SINGLE_PRECISION
-from ._steady import along_feed, is_traced, process_matrices, seen, steady, with_cut
+from ._steady import TOGETHER, along_feed, is_traced, process_matrices, seen, steady, with_cut
 from ._types import Scalar
 from ._units import si_scale
 from ._values import Given, read
@@ -195,17 +195,7 @@ def _radii(case: Case, method: Method, borders, speeds, feed_rates, depths) -> R
     _known(method)
     steps = _steps(case, speeds)
     if method == "semi":
-
-        def semi(speeds, feed_rates, depths):
-            # Slow cuts take more steps than fast ones.
-            found, chosen = np.empty(len(speeds), dtype=complex), _steps_each(case, speeds)
-            for steps in np.unique(chosen):
-                at = chosen == steps
-                arguments = (speeds[at], feed_rates[at], depths[at], borders, int(steps))
-                found[at] = _linearised.leading_multipliers(case, *arguments)
-            return found
-
-        return semi
+        return lambda *cuts: _linearised.leading_multipliers(case, cuts, borders, steps)
     module = _floquet.leading_multipliers if method == "floquet" else _growth.growths
     steps = max(FINER * steps, case.settings.steps_per_tooth)
     if steps > _linearised.STEPS[-1]:
@@ -232,18 +222,12 @@ def _radii(case: Case, method: Method, borders, speeds, feed_rates, depths) -> R
         sweeps=max(s.sweeps for s in numerics) + 2,
         tolerance=EXACT,
     )
-    return lambda speeds, feed_rates, depths: module(settled, speeds, feed_rates, depths, borders)
+    return lambda *cuts: module(settled, cuts, borders)
 
 
 def _steps(case: Case, speeds) -> int:
-    return int(_steps_each(case, speeds).max())
-
-
-def _steps_each(case: Case, speeds) -> np.ndarray:
-    """Of the semi-discretisation, at each speed."""
-    return np.array(
-        [_linearised.resolution(eqx.tree_at(lambda c: c.cut.spindle_speed, case, jnp.asarray(s))) for s in speeds]
-    )
+    """Of the semi-discretisation: what the slowest cut takes."""
+    return _linearised.resolution(eqx.tree_at(lambda c: c.cut.spindle_speed, case, jnp.asarray(np.min(speeds))))
 
 
 def _map(case: Case, speeds, feed_rates, depths, report) -> np.ndarray:
@@ -295,7 +279,7 @@ def _limits(case, method, speeds, feed_rates, grid=None, *, around=None, progres
         open_, next_row = np.arange(n), 0
         while len(open_) and next_row < len(depths):
             # As many depths of each speed as are computed together anyway.
-            rows = depths[next_row : next_row + max(1, _linearised.TOGETHER // len(open_)), open_]
+            rows = depths[next_row : next_row + max(1, TOGETHER // len(open_)), open_]
             next_row += len(rows)
             f = excess(np.tile(open_, len(rows)), rows.ravel()).reshape(rows.shape)
             for row, values in zip(rows, f, strict=True):
@@ -348,7 +332,7 @@ def _lowest(case: Case, speed, feed, borders) -> float:
 
     Raises `ValueError` where no tooth ever meets the stock.
     """
-    per_depth = np.asarray(_process_of(with_cut(case, speed, feed, 1.0), borders, 40))
+    per_depth = np.asarray(_process_of(with_cut(case, speed, feed, 1.0), borders, 80))
     process = float(np.linalg.norm(per_depth.mean(axis=0), 2))
     if process == 0:
         raise ValueError(

@@ -82,6 +82,33 @@ def with_cut(case: Case, speed, feed_rate, depth) -> Case:
     return eqx.tree_at(where, case, tuple(map(jnp.asarray, (speed, feed_rate, depth))))
 
 
+TOGETHER = 16
+"""Cuts for which a program is called at most."""
+
+
+def one_by_one(function, cuts):
+    """`function` of n cuts, arrays of shape (n,), as NumPy arrays. It takes up to `TOGETHER` at a time, and their number as
+    an argument: one program serves every n."""
+    n, parts = len(cuts[0]), []
+    for first in range(0, n, TOGETHER):
+        count = min(TOGETHER, n - first)
+        part = np.minimum(np.arange(first, first + TOGETHER), n - 1)
+        found = function(tuple(np.asarray(x, dtype=float)[part] for x in cuts), count)
+        parts.append(jax.tree.map(lambda x, count=count: np.asarray(x)[:count], found))
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
+def looped(function, cuts, count):
+    """`function` of the first `count` cuts, one after the other; zeros for those after them."""
+    shapes = jax.eval_shape(function, *(x[0] for x in cuts))
+    start = jax.tree.map(lambda x: jnp.zeros((len(cuts[0]), *x.shape), x.dtype), shapes)
+
+    def step(i, found):
+        return jax.tree.map(lambda all, one: all.at[i].set(one), found, function(*(x[i] for x in cuts)))
+
+    return lax.fori_loop(0, count, step, start)
+
+
 def is_traced(case: Case) -> bool:
     """Whether some number of the case has no value yet."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(case))
@@ -109,22 +136,18 @@ def process_matrices(case: Case, steps: int, passes: int = 1) -> ProcessMatrices
         pair, _ = cutting(process(model, place, past, jnp.zeros_like(model.depth)), now)
         return jnp.stack(pair, axis=1)  # (steps, 2)
 
-    # No step feels another: one change of a whole trace at a time gives the derivatives of all steps.
-    _, change = jax.linearize(force, still[0], Past(still, still))
-    ones = jnp.stack([jnp.zeros((2, steps)).at[i].set(1.0) for i in range(2)])
-    none = jnp.zeros_like(ones)
-    now = jax.vmap(lambda d: change(d, Past(still, still)))(ones)
+    # No step feels another: one change of a whole trace at a time gives the derivatives of all steps. All of them at once:
+    # x and y of the present displacement, then of every earlier displacement, then of every earlier velocity.
+    unit = jnp.eye(2 + 4 * passes).reshape(-1, 1 + 2 * passes, 2, 1) * jnp.ones(steps)
+    by = jax.vmap(lambda d: jax.jvp(force, (still[0], Past(still, still)), _parted(d, passes))[1])(unit)
+    by = jnp.moveaxis(by, 0, -1).reshape(steps, 2, 1 + 2 * passes, 2)
+    now, earlier, rate = jnp.split(jnp.moveaxis(by, 2, 0), [1, 1 + passes])
+    return ProcessMatrices(now[0], earlier, rate)
 
-    def by_pass(k):
-        def of(d):
-            return still.at[k].set(d)
 
-        earlier = jax.vmap(lambda d: change(none[0], Past(of(d), still)))(ones)
-        rate = jax.vmap(lambda d: change(none[0], Past(still, of(d))))(ones)
-        return earlier, rate
-
-    earlier, rate = zip(*(by_pass(k) for k in range(passes)), strict=True)
-    return ProcessMatrices(*(jnp.moveaxis(x, -3, -1) for x in (now, jnp.stack(earlier), jnp.stack(rate))))
+def _parted(change: Float[Array, "motions 2 L"], passes: int):
+    """A change of the present displacement, and of the earlier motions."""
+    return change[0], Past(change[1 : 1 + passes], change[1 + passes :])
 
 
 class Period(eqx.Module):
