@@ -23,15 +23,15 @@ from ._settings import Settings
 from ._simulate import SINGLE_PRECISION
 from ._steady import TOGETHER, along_feed, is_traced, process_matrices, seen, steady, with_cut
 from ._types import Scalar
-from ._units import si_scale
-from ._values import Given, read
+from ._units import parse, si_scale
+from ._values import Given, Values, read
 
 if TYPE_CHECKING:
     import xarray
 
 Method = Literal["semi", "floquet", "time"]
 
-METHODS = {
+STABILITY_METHODS = {
     "semi": "semi-discretisation of the linearised cut",
     "floquet": "Floquet multipliers of the time-domain model",
     "time": "growth of a vibration in the time domain",
@@ -72,7 +72,7 @@ def spectral_radius(case: Case, *, method: Method = "semi") -> Scalar:
     **Arguments:**
 
     - `case`: its tool is taken to be inside the workpiece, far from the borders across the feed.
-    - `method`: "semi", "floquet" or "time", see `millax.METHODS`.
+    - `method`: "semi", "floquet" or "time", see `millax.STABILITY_METHODS`.
 
     With method "semi" it is differentiable with respect to every number of the case (not under `jit`: the search for
     eigenvalues is no JAX program). Raises `ValueError` where there is nothing to be stable: a tool that is rigid in the
@@ -136,10 +136,10 @@ def stability(
     - `speeds`: "5000:25000:101 rpm" (from, to, how many), "8000, 10000 rpm", or an array [rad/s].
     - `depths`: likewise, at which the spectral radius is kept as well (by semi-discretisation); the limit is then looked for
       between them, from below. None: wherever it is.
-    - `methods`: out of `millax.METHODS`. The limits of "floquet" and "time" are looked for around those of "semi".
+    - `methods`: out of `millax.STABILITY_METHODS`. The limits of "floquet" and "time" are looked for around those of "semi".
     - `progress`: called with a `StabilityProgress` now and then.
 
-    **Returns:** a dataset over `method` and `cut.spindle_speed` (in the unit given) with `limit_depth` [m] (NaN: none was
+    **Returns:** a dataset over `analysis` (the methods) and `cut.spindle_speed` (in the unit given) with `limit_depth` [m] (NaN: none was
     found), `multiplier_angle` [rad] at the limit (pi: period doubling, in between: a second frequency), and, with `depths`,
     `spectral_radius` over `cut.spindle_speed` and `cut.depth`.
 
@@ -149,13 +149,14 @@ def stability(
 
     for method in methods:
         _known(method)
+    methods = list(dict.fromkeys(methods))
     cut = _checked(case)
     speed_values = _given("speeds", speeds, "rad/s")
     omega = speed_values.numbers * _scale(speed_values.unit)
     feed_rates = float(cut.feed_per_tooth(case.tool)) * omega * case.tool.teeth / (2 * np.pi)
     speed = "cut.spindle_speed"
     coords: dict = {
-        "method": list(methods),
+        "analysis": methods,
         speed: (speed, speed_values.numbers, {"units": speed_values.unit or "rad/s"}),
     }
     variables: dict = {}
@@ -180,9 +181,9 @@ def stability(
             here = omega[at], feed_rates[at], found[i][at]
             angles[i, at] = np.abs(np.angle(_radii(case, method, along_feed(case.stock), *here)(*here)))
     attributes = {"units": "m", "long_name": "smallest axial depth at which the cut is not stable"}
-    variables["limit_depth"] = (("method", speed), found, attributes)
+    variables["limit_depth"] = (("analysis", speed), found, attributes)
     attributes = {"units": "rad", "long_name": "angle of the largest Floquet multiplier at the limit depth"}
-    variables["multiplier_angle"] = (("method", speed), angles, attributes)
+    variables["multiplier_angle"] = (("analysis", speed), angles, attributes)
     return xarray.Dataset(variables, coords, {"title": "stability limits of a milling cut"})
 
 
@@ -373,8 +374,8 @@ def _checked(case: Case):
 
 
 def _known(method) -> None:
-    if method not in METHODS:
-        raise ValueError(f"method: {method!r} given; it must be one of {', '.join(METHODS)}")
+    if method not in STABILITY_METHODS:
+        raise ValueError(f"method: {method!r} given; it must be one of {', '.join(STABILITY_METHODS)}")
 
 
 def _differentiable(method) -> None:
@@ -388,18 +389,14 @@ def _product(gradient: Case, change: Case) -> Scalar:
     return sum((jnp.sum(g * d) for g, d in zip(gradients, changes, strict=True) if d is not None), jnp.zeros(()))
 
 
-def _given(name: str, given: Given, unit: str):
+def _given(name: str, given: Given, unit: str) -> Values:
     values = read(name, given)
+    if values.unit is not None:
+        parse(name, f"1 {values.unit}".strip(), unit)  # a unit of another kind is an error
     numbers = np.atleast_1d(values.numbers)
     if not (numbers > 0).all():
         raise ValueError(f"{name}: {numbers.min():g} {values.unit or unit} given; every one must be greater than 0")
-    scale = _scale(values.unit)
-    from ._units import parse
-
-    if values.unit is not None:
-        parse(name, f"1 {values.unit}" if values.unit else "1", unit)  # a unit of another kind is an error
-    del scale
-    return type(values)(numbers, values.unit)
+    return Values(numbers, values.unit)
 
 
 def _scale(unit: str | None) -> float:

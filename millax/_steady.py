@@ -93,7 +93,8 @@ def one_by_one(function, cuts):
     for first in range(0, n, TOGETHER):
         count = min(TOGETHER, n - first)
         part = np.minimum(np.arange(first, first + TOGETHER), n - 1)
-        found = function(tuple(np.asarray(x, dtype=float)[part] for x in cuts), count)
+        # A plain number would be compiled in.
+        found = function(tuple(jnp.asarray(x, dtype=float)[part] for x in cuts), jnp.asarray(count))
         parts.append(jax.tree.map(lambda x, count=count: np.asarray(x)[:count], found))
     return jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
