@@ -18,6 +18,7 @@ SUBJECTS = {
     "numerics": "Accuracy of the scheme",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
+    "stability": "Limits of stability",
     "programs": "Programs",
 }
 

@@ -139,9 +139,9 @@ def stability(
     - `methods`: out of `millax.STABILITY_METHODS`. The limits of "floquet" and "time" are looked for around those of "semi".
     - `progress`: called with a `StabilityProgress` now and then.
 
-    **Returns:** a dataset over `analysis` (the methods) and `cut.spindle_speed` (in the unit given) with `limit_depth` [m] (NaN: none was
-    found), `multiplier_angle` [rad] at the limit (pi: period doubling, in between: a second frequency), and, with `depths`,
-    `spectral_radius` over `cut.spindle_speed` and `cut.depth`.
+    **Returns:** a dataset over `analysis` (the methods) and `cut.spindle_speed` (in the unit given) with `limit_depth` [m]
+    (NaN: none was found), `multiplier_angle` [rad] at the limit (pi: period doubling, in between: a second frequency), and
+    with `depths` also `spectral_radius` over `cut.spindle_speed` and `cut.depth`.
 
     Raises `ValueError` as `spectral_radius` does, and for speeds, depths and methods that cannot be used.
     """
