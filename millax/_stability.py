@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from . import _floquet, _growth, _linearised
 from ._case import Case
 from ._runtime import double_precision
-from ._settings import Settings
+from ._settings import Settings, block_options
 from ._simulate import SINGLE_PRECISION
 from ._steady import TOGETHER, along_feed, is_traced, process_matrices, seen, steady, with_cut
 from ._types import Scalar
@@ -211,16 +211,17 @@ def _radii(case: Case, method: Method, borders, speeds, feed_rates, depths) -> R
             steps_per_tooth=steps,
             passes=case.settings.passes,
             width=case.settings.width,
+            blocks=block_options(steps)[-1],
             tolerance=EXACT,
         )
         for at in zip(speeds, feed_rates, depths, strict=True)
     ]
-    # Of two settings, more blocks are the safer, with the sweeps of the most demanding cut.
+    # Of two settings, more blocks are the safer, with the sweeps of the most demanding cut: in eights, for few programs.
     settled = case.with_settings(
         steps_per_tooth=steps,
         periods=1,
-        blocks=max(s.blocks for s in numerics),
-        sweeps=max(s.sweeps for s in numerics) + 2,
+        blocks=block_options(steps)[-1],
+        sweeps=8 * -(-max(s.sweeps for s in numerics) // 8),
         tolerance=EXACT,
     )
     return lambda *cuts: module(settled, cuts, borders)

@@ -59,11 +59,9 @@ def mathieu(steps, order, delta=3.0, eps=2.0, b0=-0.15, a1=0.1, tau=2 * np.pi):
 def test_the_delayed_mathieu_equation():
     exact = chebyshev_radius(3.0, 2.0, -0.15, 0.1)
     assert exact == pytest.approx(0.51205228410, abs=1e-10)
-    found = [abs(multipliers(mathieu(steps, 3))[0]) for steps in (40, 80, 160)]
-    assert found[-1] == pytest.approx(exact, abs=5e-5)
-    errors = np.abs(np.array(found) - exact)
-    assert (errors[:-1] / errors[1:] > 3.8).all()  # second order: coefficients are means over steps
-    assert abs(multipliers(mathieu(160, 1))[0]) == pytest.approx(exact, abs=1e-4)
+    errors = [abs(abs(multipliers(mathieu(steps, 3))[0]) - exact) for steps in (80, 160)]
+    assert errors[1] < 5e-5
+    assert errors[0] / errors[1] > 3.8  # second order: coefficients are means over steps
 
 
 def test_constant_coefficients_beside_the_characteristic_equation():
@@ -98,7 +96,7 @@ def test_arnoldi_finds_the_largest_eigenvalue():
 
 def test_the_process_matrices_are_the_directional_factors_of_the_linear_law():
     case, steps = benchmark(), 200
-    found = process_matrices(steady(case, ()), steps)
+    found = eqx.filter_jit(process_matrices)(steady(case, ()), steps)
     phi = (np.arange(steps)[:, None] + 0.5) * np.pi / steps + np.array([0, np.pi])
     cutting = np.cos(phi) > 0
     force = np.stack([np.sin(phi) - np.cos(phi) / 3, np.cos(phi) + np.sin(phi) / 3])
@@ -118,9 +116,8 @@ def test_multipliers_as_published():
     np.testing.assert_allclose(found, [0.8192, 1.0726, 1.2197, 1.4040], rtol=3e-3)
 
 
-@pytest.mark.parametrize(("immersion", "speed"), [(1.0, 13000), (0.5, 8000)])
-def test_three_methods_agree(immersion, speed):
-    case = benchmark(immersion=immersion, axes=("x", "y"), speed=speed * RPM)
+def test_three_methods_agree():
+    case = benchmark(immersion=0.5, axes=("x", "y"), speed=8000 * RPM)
     limits = [float(mx.limit_depth(case, method=method)) for method in ("semi", "floquet", "time")]
     assert limits[1] == pytest.approx(limits[0], rel=0.01)
     assert limits[2] == pytest.approx(limits[1], rel=0.01)
@@ -132,9 +129,7 @@ def test_derivatives_of_the_limit_depth():
     assert gradient.cut.depth == 0
     for where in (
         lambda c: c.force.kt,
-        lambda c: c.force.kr,
         lambda c: c.structure.stiffness,
-        lambda c: c.structure.damping_ratio,
         lambda c: c.cut.spindle_speed,
     ):
         x = where(case)
