@@ -44,7 +44,7 @@ TOLERANCE = {"semi": 1e-10, "floquet": 1e-4, "time": 1e-3}
 FACTOR = 1.1
 """From one depth to the next in a search from below. Islands of instability that are thinner may be missed."""
 
-HIGHEST = 300.0
+HIGHEST = 1000.0
 """Depth at which a search from below ends, over that at which it begins."""
 
 FINER = 2
