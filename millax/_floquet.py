@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Float
+from jaxtyping import Array
 
 from ._case import Case
 from ._krylov import SPACE, arnoldi, largest
@@ -41,37 +41,36 @@ class PeriodicOrbit:
 
 
 @eqx.filter_jit
-def _around(case: Case, borders: tuple[int, ...], z: Orbit | None, direction: Float[np.ndarray, " N"] | None):
+def _around(case: Case, borders: tuple[int, ...], z: Orbit | None, direction: Array | None):
     """A motion z (None: one close to the orbit), what it misses to close, and dG/dz in the Krylov space of a direction
     (None: of what is missing)."""
     period = Period.of(steady(case, borders))
     at, unravel = ravel_pytree(period.under_rigid_force() if z is None else z)
     value, linear = jax.linearize(lambda z: ravel_pytree(period(unravel(z)))[0], at)
     missing = at - value
-    basis, h = arnoldi(linear, missing if direction is None else direction, SPACE)
+    basis, h = arnoldi(linear, jnp.asarray(missing if direction is None else direction), SPACE)
     return unravel(at), missing, basis, h, period.model.feed_per_tooth
 
 
 def periodic_orbit(case: Case, borders: tuple[int, ...]) -> PeriodicOrbit:
     """The periodic motion of a cut, with the settings of its case."""
-    z = None
+    z, *rest = _around(case, borders, None, None)
     for _ in range(MOST_STEPS):
-        z, *rest = _around(case, borders, z, None)
         missing, basis, h, feed = map(np.asarray, rest)
-        residual = float(np.abs(missing).max() / feed)
-        if not np.isfinite(h).all():
-            return PeriodicOrbit(z, np.inf, complex(np.nan))
-        if residual < CLOSED:
+        if not np.isfinite(h).all() or np.abs(missing).max() < CLOSED * feed:
             break
         # (dG/dz - 1) dz = z - G(z), in the least-squares sense.
         target = np.eye(1, len(h))[0] * np.linalg.norm(missing)
         change = np.linalg.lstsq(h - np.eye(*h.shape), target)[0] @ basis[:-1]
         at, unravel = ravel_pytree(z)
-        z = unravel(at + change)
+        z, *rest = _around(case, borders, unravel(at + change), None)
+    missing, _, h, feed = map(np.asarray, rest)
+    if not np.isfinite(h).all():
+        return PeriodicOrbit(z, np.inf, complex(np.nan))
     # A direction with a part along every eigenvector, the same in every run.
     direction = np.random.default_rng(0).normal(size=len(missing))
     h = np.asarray(_around(case, borders, z, jnp.asarray(direction, missing.dtype))[3])
-    return PeriodicOrbit(z, residual, largest(h))
+    return PeriodicOrbit(z, float(np.abs(missing).max() / feed), largest(h))
 
 
 def leading_multipliers(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarray:

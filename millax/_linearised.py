@@ -123,8 +123,8 @@ def radius_and_gradient(case: Case, borders: tuple[int, ...], steps: int) -> tup
     return abs(mu), gradient
 
 
-def _columns(x: np.ndarray) -> Float[Array, "N 2"]:
-    return jnp.asarray(np.stack([x.real, x.imag], axis=1))
+def _columns(x) -> Float[Array, "N 2"]:
+    return jnp.asarray(np.stack([np.real(x), np.imag(x)], axis=1))
 
 
 @eqx.filter_jit

@@ -135,7 +135,7 @@ def leading(matrix: Float[np.ndarray, "N N"]) -> tuple[complex, np.ndarray, np.n
     """The largest eigenvalue mu, with right and left eigenvectors scaled so that w^H v = 1: dmu = w^H dPhi v."""
     import scipy.linalg
 
-    values, left, right = scipy.linalg.eig(np.asarray(matrix), left=True, right=True)
+    values, left, right = scipy.linalg.eig(np.asarray(matrix), left=True, right=True)  # type: ignore[misc]
     largest = int(np.argmax(np.abs(values)))
     v, w = right[:, largest], left[:, largest]
     return complex(values[largest]), v, w / np.conj(w.conj() @ v)

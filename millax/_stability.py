@@ -210,7 +210,7 @@ def _radii(case: Case, method: Method, borders, speeds, feed_rates, depths) -> R
             1e-9,
             steps_per_tooth=steps,
             passes=case.settings.passes,
-            width=case.settings.width,
+            width=float(case.settings.width),
             blocks=block_options(steps)[-1],
             tolerance=EXACT,
         )
@@ -350,7 +350,7 @@ def _lowest(case: Case, speed, feed, borders) -> float:
     rates = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, np.hstack([stiffness, damping]))]])
     values = np.linalg.eigvals(rates)
     ratio = float(np.min(-values.real / np.abs(values)))
-    return 2 * max(ratio, 1e-6) / (compliance * process)
+    return float(2 * max(ratio, 1e-6) / (compliance * process))
 
 
 @eqx.filter_jit

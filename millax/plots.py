@@ -1,7 +1,7 @@
 """Pictures of simulated cuts and of sweeps. Needs matplotlib, which nothing else in the package imports."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -121,10 +121,14 @@ def plot_stability(dataset: "xarray.Dataset") -> Figure:
         radius = dataset["spectral_radius"].to_numpy().T
         image = axes.pcolormesh(speed, depth, radius, cmap="RdBu_r", vmin=0.5, vmax=1.5, shading="nearest")
         figure.colorbar(image, label="spectral radius [-]: stable below 1", extend="both")
-    styles = ({"color": "black", "linewidth": 1.4}, {"marker": "o", "color": "#D55E00"}, {"marker": "x", "color": "#0072B2"})
+    styles: tuple[dict[str, Any], ...] = (
+        {"color": "black", "linewidth": 1.4},
+        {"marker": "o", "color": "#D55E00"},
+        {"marker": "x", "color": "#0072B2"},
+    )
     for i, (method, limits) in enumerate(zip(dataset["analysis"].to_numpy(), dataset["limit_depth"], strict=True)):
         limit = 1e3 * limits.to_numpy()
-        style = styles[i % 3] | ({"linestyle": "none", "markersize": 5, "fillstyle": "none"} if i else {})
+        style: dict[str, Any] = styles[i % 3] | ({"linestyle": "none", "markersize": 5, "fillstyle": "none"} if i else {})
         axes.plot(speed, limit, label=STABILITY_METHODS[str(method)], **style)
         if i == 0 and "spectral_radius" not in dataset and known.size:
             top = 1.05e3 * known.max()
