@@ -20,6 +20,7 @@ SUBJECTS = {
     "surface": "Walls and entries",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
+    "stability": "Limits of stability",
     "programs": "Programs",
 }
 

@@ -85,6 +85,30 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--overwrite", action="store_true", help="start anew, whatever the file holds")
     sweep.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler: compute on its workers")
     sweep.set_defaults(run=_sweep)
+
+    stability = commands.add_parser(
+        "stability",
+        help="limits of stability: the lobe diagram",
+        description="The axial depth at which the cut of a case file begins to chatter, over spindle speed, by up to three "
+        "methods. Writes stability.nc (labelled results) and stability.png.",
+    )
+    _add_paths(stability)
+    stability.add_argument(
+        "--speeds",
+        metavar="VALUES",
+        help='spindle speeds: "5000:25000:101 rpm" (from, to, how many) or a list; by default around that of the case',
+    )
+    stability.add_argument(
+        "--depths", metavar="VALUES", help='axial depths at which the spectral radius is kept, "0.1:5:40 mm"'
+    )
+    stability.add_argument(
+        "--methods",
+        metavar="NAMES",
+        default="semi,floquet,time",
+        help="names between commas: semi (semi-discretisation), floquet (multipliers of the time-domain model), time "
+        "(growth in the time domain). Default: all of them",
+    )
+    stability.set_defaults(run=_stability)
     return parser
 
 
@@ -111,6 +135,14 @@ def _sweep(arguments: argparse.Namespace) -> int:
         reduce=arguments.reduce,
         overwrite=arguments.overwrite,
         cluster=arguments.cluster,
+    )
+
+
+def _stability(arguments: argparse.Namespace) -> int:
+    from ._stability_command import run_stability
+
+    return run_stability(
+        arguments.case, arguments.out, speeds=arguments.speeds, depths=arguments.depths, methods=arguments.methods
     )
 
 

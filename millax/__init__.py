@@ -9,6 +9,7 @@ from ._reductions import REDUCTIONS, Reduction
 from ._runtime import set_up
 from ._settings import Settings
 from ._simulate import STATUS, Simulation, SimulationError, simulate
+from ._stability import STABILITY_METHODS, StabilityProgress, limit_depth, spectral_radius, stability
 from ._stock import Stock
 from ._structure import Structure
 from ._summary import summarize
@@ -19,6 +20,7 @@ from ._values import Values, sample
 
 __all__ = [
     "REDUCTIONS",
+    "STABILITY_METHODS",
     "STATUS",
     "Case",
     "CaseError",
@@ -34,18 +36,22 @@ __all__ = [
     "Settings",
     "Simulation",
     "SimulationError",
+    "StabilityProgress",
     "Stock",
     "Structure",
     "SweepProgress",
     "Values",
     "Wall",
     "form_error",
+    "limit_depth",
     "load_case",
     "phases",
     "roughness",
     "sample",
     "set_up",
     "simulate",
+    "spectral_radius",
+    "stability",
     "summarize",
     "sweep",
     "use_all_cores",

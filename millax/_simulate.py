@@ -131,15 +131,43 @@ def simulate(*parts, throw: bool = True) -> Simulation:
 
 @eqx.filter_jit
 def _simulate(case: Case) -> Simulation:
-    tool, law, cut, structure, settings = case.tool, case.force, case.cut, case.structure, case.settings
-    steps, blocks = settings.steps_per_tooth, settings.blocks
-    m = steps // blocks
-    tau = cut.tooth_period(tool)
-    dt = tau / steps
+    tool, settings, structure = case.tool, case.settings, case.structure
+    model = model_of(case)
+    dt, blocks = case.cut.tooth_period(tool) / settings.steps_per_tooth, settings.blocks
+    forces = len(model.response.motion.by)
     sweeps = settings.sweeps if structure.coordinates else 1
-    forces = 2 if law.ka is None else 3
-    response = block_response(structure, dt, m, forces)
-    model = Model(
+    start = at_rest(model, settings.passes)
+    end, traces = march(model, start, settings.periods, sweeps=sweeps)
+    state, force, motion, chip, error = traces
+    *largest, moved = lax.stop_gradient(end.peaks)
+    chip, error = lax.stop_gradient((chip, error))
+    chip = _with_derivatives_of(chip, _chips(model, start, motion))
+    if structure.mode_shapes is None and set(structure.axes) <= set("xy"):
+        displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
+    else:
+        displacement = moved = jax.vmap(jax.vmap(model.response.axes))(state, force)
+    displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), -1))
+    largest = jnp.max(jnp.stack(jax.tree.leaves(largest)))
+    residual = jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
+    return Simulation(
+        time=(jnp.arange(settings.steps) + 0.5) * dt,
+        force=jnp.stack([*(along.ravel() for along in force), *[jnp.zeros(settings.steps)] * (3 - forces)], axis=1),
+        displacement=displacement,
+        chip_thickness=_by_tooth(chip) if tool.equal_teeth else _trace(chip),
+        residual=residual,
+        status=status_of(largest, moved, residual, tool.radius, settings.tolerance),
+        axes=structure.axes,
+    )
+
+
+def model_of(case: Case) -> Model:
+    """All that the march through the tooth periods depends on."""
+    tool, law, cut, settings = case.tool, case.force, case.cut, case.settings
+    steps = settings.steps_per_tooth
+    m = steps // settings.blocks
+    dt = cut.tooth_period(tool) / steps
+    response = block_response(case.structure, dt, m, forces=2 if law.ka is None else 3)
+    return Model(
         law=law,
         depth=cut.depth / settings.slices,
         width=settings.width,
@@ -153,28 +181,6 @@ def _simulate(case: Case) -> Simulation:
         tolerance=reachable(settings.tolerance, dt.dtype),
         periods=jnp.asarray(settings.periods, dt.dtype),
         step_angle=2 * np.pi / (tool.teeth * steps),
-    )
-    start = at_rest(model, settings.passes)
-    end, traces = march(model, start, settings.periods, sweeps=sweeps)
-    state, force, motion, chip, error = traces
-    *largest, moved = lax.stop_gradient(end.peaks)
-    chip, error = lax.stop_gradient((chip, error))
-    chip = _with_derivatives_of(chip, _chips(model, start, motion))
-    if structure.mode_shapes is None and set(structure.axes) <= set("xy"):
-        displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
-    else:
-        displacement = moved = jax.vmap(jax.vmap(model.response.axes))(state, force)
-    displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), m))
-    largest = jnp.max(jnp.stack(jax.tree.leaves(largest)))
-    residual = jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
-    return Simulation(
-        time=(jnp.arange(settings.steps) + 0.5) * dt,
-        force=jnp.stack([*(along.ravel() for along in force), *[jnp.zeros(settings.steps)] * (3 - forces)], axis=1),
-        displacement=displacement,
-        chip_thickness=_by_tooth(chip) if tool.equal_teeth else _trace(chip),
-        residual=residual,
-        status=status_of(largest, moved, residual, tool.radius, settings.tolerance),
-        axes=structure.axes,
     )
 
 

@@ -1,7 +1,7 @@
 """Pictures of simulated cuts and of sweeps. Needs matplotlib, which nothing else in the package imports."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +11,10 @@ from matplotlib.figure import Figure
 
 from ._case import Case
 from ._simulate import Simulation
+from ._stability import STABILITY_METHODS
 from ._surface import Wall, phases
 from ._types import AXES
+from ._units import si_scale
 
 if TYPE_CHECKING:
     import xarray
@@ -155,6 +157,42 @@ def plot_sweep(dataset: "xarray.Dataset", quantities: str | Sequence[str] | None
         figure = _curves(part, chosen, varied[0]) if len(varied) == 1 else _maps(part, chosen, varied)
     if middle:
         figure.suptitle("at " + ", ".join(_value(part, dim) for dim in middle), fontsize="medium")
+    return figure
+
+
+def plot_stability(dataset: "xarray.Dataset") -> Figure:
+    """The stability lobe diagram of `millax.stability`: limit depth over spindle speed.
+
+    The first method is drawn as a line, unstable above it, the others as marks; with depths, the colours are the spectral
+    radius.
+    """
+    figure = Figure(figsize=(8, 4.2), layout="constrained")
+    axes = figure.subplots()
+    tidy(axes)
+    speed = dataset["cut.spindle_speed"].to_numpy()
+    known = dataset["limit_depth"].to_numpy()
+    known = known[np.isfinite(known)]
+    if "spectral_radius" in dataset:
+        depth = dataset["cut.depth"].to_numpy() * (1e3 * si_scale(dataset["cut.depth"].attrs["units"]))
+        radius = dataset["spectral_radius"].to_numpy().T
+        image = axes.pcolormesh(speed, depth, radius, cmap="RdBu_r", vmin=0.5, vmax=1.5, shading="nearest")
+        figure.colorbar(image, label="spectral radius [-]: stable below 1", extend="both")
+    styles: tuple[dict[str, Any], ...] = (
+        {"color": "black", "linewidth": 1.4},
+        {"marker": "o", "color": "#D55E00"},
+        {"marker": "x", "color": "#0072B2"},
+    )
+    for i, (method, limits) in enumerate(zip(dataset["analysis"].to_numpy(), dataset["limit_depth"], strict=True)):
+        limit = 1e3 * limits.to_numpy()
+        style: dict[str, Any] = styles[i % 3] | ({"linestyle": "none", "markersize": 5, "fillstyle": "none"} if i else {})
+        axes.plot(speed, limit, label=STABILITY_METHODS[str(method)], **style)
+        if i == 0 and "spectral_radius" not in dataset and known.size:
+            top = 1.05e3 * known.max()
+            axes.fill_between(speed, np.where(np.isfinite(limit), limit, top), top, color="0.9", linewidth=0)
+            axes.set_ylim(0, top)
+    axes.set(xlabel=f"spindle speed [{dataset['cut.spindle_speed'].attrs['units']}]", ylabel="axial depth of cut [mm]")
+    axes.set_title("limit of stability: unstable above", loc="left", fontsize="medium")
+    figure.legend(frameon=False, fontsize="small", loc="outside lower center", ncols=3)
     return figure
 
 

@@ -1,0 +1,82 @@
+"""Floquet multipliers of the time-domain model itself: of the engine over one tooth period, around its periodic orbit.
+
+With G the map over a period (`_steady.Period`), the orbit is z = G(z), found by Newton's method, stable or not; the
+multipliers are the eigenvalues of dG/dz there. Both need only products of dG/dz with vectors, which the engine's linear
+march gives: in the Krylov space of a vector, spanned by Arnoldi's method, Newton's equation is solved and the largest
+multipliers are found. No matrix is larger than that space.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
+
+from ._case import Case
+from ._krylov import SPACE, arnoldi, largest
+from ._steady import Orbit, Period, steady, with_cut
+
+MOST_STEPS = 8
+"""Steps of Newton's method. One or two are enough, since along the orbit the force hardly depends on the motion."""
+
+CLOSED = 1e-7
+"""What may be missing from the orbit to close, over the feed per tooth [-]."""
+
+
+@dataclass(frozen=True)
+class PeriodicOrbit:
+    """A periodic motion of the engine, stable or not.
+
+    - `start`: what it leaves to the next tooth period.
+    - `residual`: by how much it does not close, over the feed per tooth [-].
+    - `multiplier`: the largest Floquet multiplier around it; NaN where its iteration has not converged.
+    """
+
+    start: Orbit
+    residual: float
+    multiplier: complex
+
+
+@eqx.filter_jit
+def _around(case: Case, borders: tuple[int, ...], z: Orbit | None, direction: Array | None):
+    """A motion z (None: one close to the orbit), what it misses to close, and dG/dz in the Krylov space of a direction
+    (None: of what is missing)."""
+    period = Period.of(steady(case, borders))
+    at, unravel = ravel_pytree(period.under_rigid_force() if z is None else z)
+    value, linear = jax.linearize(lambda z: ravel_pytree(period(unravel(z)))[0], at)
+    missing = at - value
+    basis, h = arnoldi(linear, jnp.asarray(missing if direction is None else direction), SPACE)
+    return unravel(at), missing, basis, h, period.model.feed_per_tooth
+
+
+def periodic_orbit(case: Case, borders: tuple[int, ...]) -> PeriodicOrbit:
+    """The periodic motion of a cut, with the settings of its case."""
+    z, *rest = _around(case, borders, None, None)
+    for _ in range(MOST_STEPS):
+        missing, basis, h, feed = map(np.asarray, rest)
+        if not np.isfinite(h).all() or np.abs(missing).max() < CLOSED * feed:
+            break
+        # (dG/dz - 1) dz = z - G(z), in the least-squares sense.
+        target = np.eye(1, len(h))[0] * np.linalg.norm(missing)
+        change = np.linalg.lstsq(h - np.eye(*h.shape), target)[0] @ basis[:-1]
+        at, unravel = ravel_pytree(z)
+        z, *rest = _around(case, borders, unravel(at + change), None)
+    missing, _, h, feed = map(np.asarray, rest)
+    if not np.isfinite(h).all():
+        return PeriodicOrbit(z, np.inf, complex(np.nan))
+    # A direction with a part along every eigenvector, the same in every run.
+    direction = np.random.default_rng(0).normal(size=len(missing))
+    h = np.asarray(_around(case, borders, z, jnp.asarray(direction, missing.dtype))[3])
+    return PeriodicOrbit(z, float(np.abs(missing).max() / feed), largest(h))
+
+
+def leading_multipliers(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarray:
+    """The largest Floquet multiplier of cuts: speeds [rad/s], feed rates [m/s] and depths [m], three arrays of shape (n,).
+
+    The settings of the case count. NaN where no orbit is found, or its multipliers have not converged.
+    """
+    orbits = [periodic_orbit(with_cut(case, *cut), borders) for cut in zip(*cuts, strict=True)]
+    return np.array([o.multiplier if o.residual < CLOSED else complex(np.nan) for o in orbits])
