@@ -133,7 +133,7 @@ def simulate(*parts, throw: bool = True) -> Simulation:
 def _simulate(case: Case) -> Simulation:
     tool, settings, structure = case.tool, case.settings, case.structure
     model = model_of(case)
-    dt, blocks = case.cut.tooth_period(tool) / settings.steps_per_tooth, settings.blocks
+    steps, blocks = settings.steps_per_tooth, settings.blocks
     forces = len(model.response.motion.by)
     sweeps = settings.sweeps if structure.coordinates else 1
     start = at_rest(model, settings.passes)
@@ -146,11 +146,11 @@ def _simulate(case: Case) -> Simulation:
         displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
     else:
         displacement = moved = jax.vmap(jax.vmap(model.response.axes))(state, force)
-    displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), -1))
+    displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), steps // blocks))
     largest = jnp.max(jnp.stack(jax.tree.leaves(largest)))
     residual = jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
     return Simulation(
-        time=(jnp.arange(settings.steps) + 0.5) * dt,
+        time=(jnp.arange(settings.steps) + 0.5) * (case.cut.tooth_period(tool) / steps),
         force=jnp.stack([*(along.ravel() for along in force), *[jnp.zeros(settings.steps)] * (3 - forces)], axis=1),
         displacement=displacement,
         chip_thickness=_by_tooth(chip) if tool.equal_teeth else _trace(chip),
