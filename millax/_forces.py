@@ -27,7 +27,7 @@ class ForceLaw(eqx.Module):
     """
 
     kr: eqx.AbstractVar[Scalar]
-    ka: eqx.AbstractVar[Scalar | None]
+    ka = None  # laws that have an axial force make it a field
 
     @abc.abstractmethod
     def tangential(self, h: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -19,8 +19,6 @@
 # %%
 import dataclasses
 
-import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -33,10 +31,10 @@ mx.set_up()  # double precision, and faster code
 straight = {
     "tool": {"diameter": "20 mm", "teeth": 4},
     "force": {"law": "fractional", "k0": "5000 N/mm^2", "hs": "18 um", "r": 0.1, "kr": 0.3, "ka": -0.2},
-    "cut": {"spindle_speed": "8000 rpm", "feed_per_tooth": "0.08 mm", "depth": "3 mm", "start": ["0 mm", "0 mm"]},
+    "cut": {"spindle_speed": "8000 rpm", "feed_per_tooth": "0.08 mm", "depth": "1 mm", "start": ["0 mm", "0 mm"]},
     "stock": {"y": ["-10 mm", "0 mm"]},  # half of the slot is there: down-milling
     "structure": {"axes": ["x", "y"], "mass": "60 kg", "stiffness": "4e6 N/m", "damping_ratio": 0.05},
-    "simulation": {"duration": "0.15 s"},
+    "simulation": {"duration": "0.1 s"},
 }
 real = straight | {
     "tool": straight["tool"] | {"helix": "30 deg", "offset": "8 um", "offset_angle": "50 deg"},
@@ -63,22 +61,6 @@ for axes, each, title in ((left, ideal, "straight flutes, equal teeth"), (right,
 left.set_ylabel("force on the tool [N]")
 left.legend(frameon=False, ncols=3, loc="lower right")
 plt.show()
-
-# %% [markdown]
-# ## How strongly a force shows the runout
-#
-# The offset is a number of the case like any other, so the derivative of the whole trace by it is exact. By how much does
-# the peak force of a turn grow with each micrometre?
-
-
-# %%
-def peak(offset):
-    tool = dataclasses.replace(case.tool, offset=offset)
-    return jnp.max(mx.simulate(dataclasses.replace(case, tool=tool), throw=False).force[-turn:, 1])
-
-
-value, slope = jax.value_and_grad(peak)(case.tool.offset)
-print(f"peak of F_y: {value:.0f} N, {1e-6 * slope:.2f} N more per micrometre of offset")
 
 # %% [markdown]
 # ## Found from a noisy trace

@@ -32,13 +32,9 @@ def difference(ours, theirs) -> float:
 
 
 CUTS = {
-    "helix, slot": {"helix": HELIX},
-    "helix, up": {"helix": HELIX, "stock": UP},
     "helix, down": {"helix": HELIX, "stock": DOWN},
-    "runout, slot": {"runout": [0.0, 2e-5, 5e-6, -8e-6]},
     "runout, down": {"runout": [0.0, 2e-5, 5e-6, -8e-6], "stock": DOWN},
-    "offset, helix": {"offset": 1e-5, "offset_angle": 0.3, "helix": HELIX},
-    "edge and axial forces": {"force": EDGES, "stock": ENDLESS},
+    "offset, helix, up": {"offset": 1e-5, "offset_angle": 0.3, "helix": HELIX, "stock": UP},
     "edge and axial forces, helix, offset": {
         "force": EDGES,
         "helix": HELIX,
@@ -159,13 +155,11 @@ def test_derivatives_of_the_tool_and_its_edges():
         return jnp.sum(weights * jnp.concatenate([sim.force / 100, sim.displacement / 1e-5], axis=1))
 
     one = jnp.ones(len(where(case)))
-    forward, backward = jax.jit(jax.jacfwd(weighed))(one), jax.jit(jax.grad(weighed))(one)
-    assert np.allclose(forward, backward, rtol=1e-9)
-    value = jax.jit(weighed)
+    backward, value = jax.jit(jax.grad(weighed))(one), jax.jit(weighed)
     for i in range(len(one)):
         step = 1e-5
         differences = (value(one.at[i].add(step)) - value(one.at[i].add(-step))) / (2 * step)
-        assert forward[i] == pytest.approx(float(differences), rel=1e-6)
+        assert backward[i] == pytest.approx(float(differences), rel=1e-6)
 
 
 def test_runout_beyond_the_feed_is_pointed_out():

@@ -11,7 +11,7 @@ from .run import Run
 
 OURS, OTHERS = "#0072B2", "0.6"
 YARDSTICKS = {"C, same model": "#D55E00", "C, sampled": "#CC79A7"}
-GROWTH = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+GROWTH = ("#0072B2", "#D55E00", "#56B4E9", "#009E73", "#CC79A7")
 
 
 def draw(run: Run) -> Figure:

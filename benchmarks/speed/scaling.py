@@ -17,12 +17,14 @@ STRAIGHT = 1.1
 
 TEETH = (1, 2, 4, 8, 16)
 MODES = (2, 4, 8, 16)
+SLICES = (1, 2, 4, 8, 16)
 MEMBERS = (16, 64, 256, 1024)
 
 
 def figures(run: Run):
     yield _growth(run, "duration [s]", run.lengths, lambda s: _one(slot(duration=s)))
     yield _growth(run, "teeth", TEETH, lambda n: _one(_with_teeth(n, run.duration)))
+    yield _growth(run, "slices", SLICES, lambda n: _one(slot(duration=run.duration, tool={"helix": 0.5}, slices=n)))
     yield _growth(run, "modes", MODES, lambda n: _one(modes(n, duration=run.duration)))
     yield _growth(run, "members of a batch", MEMBERS, lambda n: batch(slot(duration=run.duration / 50), n))
 

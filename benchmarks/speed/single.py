@@ -13,7 +13,8 @@ from ..slot import six_coordinates, slot
 from ..timing import interleaved
 from .run import Run
 
-ENGINE, SIX, SAME, SAMPLED, SCAN = "millax", "millax, 6 coordinates", "C, same model", "C, sampled", "lax.scan over steps"
+ENGINE, SIX, HELIX = "millax", "millax, 6 coordinates", "millax, helix, 8 slices"
+SAME, SAMPLED, SCAN = "C, same model", "C, sampled", "lax.scan over steps"
 GRID_STEPS = 400
 SPACING = 10e-6
 
@@ -22,9 +23,11 @@ def figures(run: Run):
     case = slot(duration=run.duration)
     steps = case.settings.steps
     six = six_coordinates(duration=run.duration)
+    helical = slot(duration=run.duration, tool={"helix": 0.5}, slices=8)
     functions = {
         ENGINE: lambda: mx.simulate(case),
         SIX: lambda: mx.simulate(six),
+        HELIX: lambda: mx.simulate(helical),
         SCAN: step_by_step(case),
     }
     if compiled.have_compiler():
@@ -41,6 +44,7 @@ def figures(run: Run):
     yield Figure(f"{SCAN} beside {ENGINE}", f"{times.ratio(SCAN, ENGINE):.3g} ×", "", None)
     yield from _grid(run, case, times.seconds(ENGINE) / steps)
     yield below("6 coordinates, full M, C, K, beside 2", times.ratio(SIX, ENGINE), 3, form=".2f", unit=" ×")
+    yield below("helix in 8 slices beside straight flutes", times.ratio(HELIX, ENGINE), 8, form=".2f", unit=" ×")
 
 
 def _beside_c(case, times):
