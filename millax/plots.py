@@ -192,7 +192,7 @@ def plot_stability(dataset: "xarray.Dataset") -> Figure:
             axes.set_ylim(0, top)
     axes.set(xlabel=f"spindle speed [{dataset['cut.spindle_speed'].attrs['units']}]", ylabel="axial depth of cut [mm]")
     axes.set_title("limit of stability: unstable above", loc="left", fontsize="medium")
-    figure.legend(frameon=False, fontsize="small", loc="outside lower center", ncols=3)
+    figure.legend(frameon=False, fontsize="x-small", loc="outside lower center", ncols=3, columnspacing=1.2)
     return figure
 
 

@@ -59,7 +59,8 @@ for axes, each, title in ((left, ideal, "straight flutes, equal teeth"), (right,
     axes.set(title=title, xlabel="angle of the tool [°]", xticks=np.arange(0, 361, 90))
     tidy(axes)
 left.set_ylabel("force on the tool [N]")
-left.legend(frameon=False, ncols=3, loc="lower right")
+left.set_ylim(top=420)  # room for the legend
+left.legend(frameon=False, ncols=3, loc="upper center")
 plt.show()
 
 # %% [markdown]
