@@ -51,18 +51,25 @@ def light(**numbers) -> mx.Case:
     return slot(depth=limit_depth(case), **(LIGHT | numbers))
 
 
+def mean_process(case: mx.Case, points: int = 1000) -> np.ndarray:
+    """Mean process matrix of a slot per unit of depth, in closed form but for the integral over the angle [N/m²]:
+
+    B = N/(2 pi) integral F_t'(f_z cos phi) p n^T over half a turn, F = p F_t.
+    """
+    phi = (np.arange(points) + 0.5) * np.pi / points - np.pi / 2
+    slope = jax.vmap(jax.grad(case.force.tangential))(case.cut.feed_per_tooth(case.tool) * np.cos(phi))
+    force = np.array([np.sin(phi) - case.force.kr * np.cos(phi), np.cos(phi) + case.force.kr * np.sin(phi)])
+    return np.asarray(case.tool.teeth / 2 * (force * slope) @ np.array([np.cos(phi), -np.sin(phi)]).T / points)
+
+
 def limit_depth(case: mx.Case) -> float:
     """Depth of a slot at which it becomes unstable [m]: zero-order solution for equal modes in x and y.
 
-    Per unit of depth a, the mean over a turn of -dF/du is B = N/(2 pi) integral F_t'(f_z cos phi) p n^T, F = p F_t. It
-    closes the loop a (1 - exp(-i w tau)) G(w) b = 1, b an eigenvalue of B. Of all w at which a is real, the one with the
+    Per unit of depth a, the mean over a turn of -dF/du is B (`mean_process`). It closes the loop
+    a (1 - exp(-i w tau)) G(w) b = 1, b an eigenvalue of B. Of all w at which a is real, the one with the
     smallest a > 0 counts.
     """
-    tau, feed = float(case.cut.tooth_period(case.tool)), case.cut.feed_per_tooth(case.tool)
-    phi = (np.arange(1000) + 0.5) * np.pi / 1000 - np.pi / 2
-    slope = jax.vmap(jax.grad(case.force.tangential))(feed * np.cos(phi))
-    force = np.array([np.sin(phi) - case.force.kr * np.cos(phi), np.cos(phi) + case.force.kr * np.sin(phi)])
-    mean = case.tool.teeth / 2 * (force * slope) @ np.array([np.cos(phi), -np.sin(phi)]).T / len(phi)
+    tau, mean = float(case.cut.tooth_period(case.tool)), mean_process(case)
     s = case.structure
     k, m, c = (float(matrix[0, 0]) for matrix in (s.stiffness_matrix, s.mass_matrix, s.damping_matrix))
     w = np.sqrt(k / m) * np.linspace(0.5, 3.0, 100000)

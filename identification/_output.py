@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +21,15 @@ def complain(message: str) -> None:
     _stderr.print("[bold red]error:[/] ", end="")
     # Messages name tables in brackets, which are not to be taken for markup.
     _stderr.print(message, markup=False)
+
+
+@contextlib.contextmanager
+def notes() -> Iterator[None]:
+    """Print warnings as lines."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_: console.print(f"note: {message}", markup=False)
+        yield
 
 
 @contextlib.contextmanager

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import time
-import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -11,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from millax import STABILITY_METHODS, CaseError, CaseFile, StabilityProgress, stability
 
-from ._output import complain, console, staged
+from ._output import complain, console, notes, staged
 
 AROUND, MANY = (0.5, 1.5), 61
 """Speeds by default: from and to, over that of the case, and how many."""
@@ -45,7 +44,7 @@ def run_stability(
     names = [name.strip() for name in methods.split(",")]
     with staged(out) as folder:
         try:
-            with _progress() as progress, _notes():
+            with _progress() as progress, notes():
                 result = stability(file.case, given, depths=depths, methods=names, progress=progress)  # type: ignore[arg-type]
         except CaseError:
             raise
@@ -87,15 +86,6 @@ def _differences(names, limits) -> None:
             f"{100 * apart.max():.2g} % at most{words}",
             markup=False,
         )
-
-
-@contextlib.contextmanager
-def _notes() -> Iterator[None]:
-    """Print warnings as lines."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *_: console.print(f"note: {message}", markup=False)
-        yield
 
 
 @contextlib.contextmanager

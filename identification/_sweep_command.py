@@ -3,7 +3,6 @@
 import contextlib
 import os
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from millax import STATUS, CaseError, CaseFile, SweepProgress, sample, sweep, us
 from millax._members import FEED_PER_TOOTH
 from millax._sweepfile import whole
 
-from ._output import complain, console
+from ._output import complain, console, notes
 
 if TYPE_CHECKING:
     import xarray
@@ -58,7 +57,7 @@ def run_sweep(
         _hold_feed_per_tooth(file, values)
         kept = None if reduce is None else [name.strip() for name in reduce.split(",")]
         varied = {"samples": values} if samples is not None else {"grid": values}
-        with _client(cluster) as client, _progress() as progress, _notes():
+        with _client(cluster) as client, _progress() as progress, notes():
             result = sweep(file.case, **varied, reduce=kept, out=path, overwrite=overwrite, progress=progress, client=client)
     except CaseError:
         raise
@@ -110,15 +109,6 @@ def _client(address: str | None) -> Iterator[Any]:
         raise ValueError(f"--cluster {address}: no scheduler answers there ({error})") from None
     with client:
         yield client
-
-
-@contextlib.contextmanager
-def _notes() -> Iterator[None]:
-    """Print warnings as lines."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *_: console.print(f"note: {message}", markup=False)
-        yield
 
 
 @contextlib.contextmanager

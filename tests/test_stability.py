@@ -8,56 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
-from cases import ENDLESS, RPM, slot
+from cases import RPM, slot
 
 import millax as mx
+from benchmarks.lobes import lobes, mathieu, mathieu_radius
 from identification.cli import main
 from millax._krylov import arnoldi, largest
 from millax._linearised import leading_multipliers
-from millax._semidiscretisation import DelayEquation, leading, mean_over_steps, monodromy, multipliers
+from millax._semidiscretisation import leading, multipliers
 from millax._steady import along_feed, process_matrices, steady
-
-FEED = 1e-6
-"""Feed per tooth of the benchmark [m]: small, so that the cut is the linear one of the literature."""
-
-
-def benchmark(*, immersion=1.0, axes=("x",), speed=5000 * RPM, feed=FEED, **settings) -> mx.Case:
-    """One or two modes of 922 Hz, two teeth, down-milling (Insperger and Stepan 2004)."""
-    tool = mx.EndMill(0.02, 2)
-    stock = ENDLESS if immersion == 1 else mx.Stock.box((None, None), (None, (2 * immersion - 1) * 0.01))
-    structure = mx.Structure(axes, 0.03993, 0.03993 * (2 * np.pi * 922) ** 2, damping_ratio=0.011)
-    cut = mx.Cut(speed, feed * speed / np.pi, 1e-3, start=[0.0, 0.0])
-    numerics = mx.Settings(1, **{"width": 1e-4 * feed, "passes": 1} | settings)
-    return mx.Case(tool, mx.LinearLaw(kt=6e8, kr=1 / 3), cut, stock, structure, numerics)
-
-
-def chebyshev_radius(delta, eps, b0, a1, nodes=40):
-    """Spectral radius of x'' + a1 x' + (delta + eps cos t) x = b0 x(t - 2 pi) over 2 pi, by collocation in Chebyshev's
-    points (Trefethen's differentiation matrix): converges geometrically."""
-    x = np.cos(np.pi * np.arange(nodes + 1) / nodes)
-    c = np.where(np.arange(nodes + 1) % nodes == 0, 2.0, 1.0) * (-1.0) ** np.arange(nodes + 1)
-    d = np.outer(c, 1 / c) / (x[:, None] - x[None, :] + np.eye(nodes + 1))
-    d = (d - np.diag(d.sum(axis=1))) / np.pi
-    one, none = np.eye(nodes + 1), np.zeros((nodes + 1, nodes + 1))
-    stiffness = np.diag(delta + eps * np.cos(np.pi * (x + 1)))
-    left, right = np.block([[d, -one], [stiffness, d + a1 * one]]), np.block([[none, none], [b0 * one, none]])
-    for row, start in ((nodes, 0), (2 * nodes + 1, nodes + 1)):  # the last point is the start, where the one before ended
-        left[row], right[row] = np.eye(2 * nodes + 2)[row], np.eye(2 * nodes + 2)[start]
-    return np.abs(np.linalg.eigvals(np.linalg.solve(left, right))).max()
-
-
-def mathieu(steps, order, delta=3.0, eps=2.0, b0=-0.15, a1=0.1, tau=2 * np.pi):
-    """The same by semi-discretisation; its matrix."""
-    period = 2 * np.pi
-    present = mean_over_steps(lambda t: jnp.array([[0.0, 1.0], [-(delta + eps * jnp.cos(t)), -a1]]), period, steps)
-    earlier = jnp.broadcast_to(jnp.array([[0.0], [b0]]), (1, steps, 2, 1))
-    h = period / steps
-    equation = DelayEquation(present, earlier, 0 * earlier, jnp.array([[1.0, 0.0]]), jnp.asarray(h))
-    return np.asarray(monodromy(equation, (tau / h,), order))
 
 
 def test_the_delayed_mathieu_equation():
-    exact = chebyshev_radius(3.0, 2.0, -0.15, 0.1)
+    exact = mathieu_radius(3.0, 2.0, -0.15, 0.1)
     assert exact == pytest.approx(0.51205228410, abs=1e-10)
     errors = [abs(abs(multipliers(mathieu(steps, 3))[0]) - exact) for steps in (80, 160)]
     assert errors[1] < 5e-5
@@ -95,7 +58,7 @@ def test_arnoldi_finds_the_largest_eigenvalue():
 
 
 def test_the_process_matrices_are_the_directional_factors_of_the_linear_law():
-    case, steps = benchmark(), 200
+    case, steps = lobes(), 200
     found = eqx.filter_jit(process_matrices)(steady(case, ()), steps)
     phi = (np.arange(steps)[:, None] + 0.5) * np.pi / steps + np.array([0, np.pi])
     cutting = np.cos(phi) > 0
@@ -110,21 +73,21 @@ def test_the_process_matrices_are_the_directional_factors_of_the_linear_law():
 def test_multipliers_as_published():
     # 5 000 rpm, slot, one mode: the moduli against which discretisations are compared in the literature (Ding et al., Int.
     # J. Mach. Tools Manuf. 50, 2010), to the 0.3 % to which they are reproduced.
-    case, depths = benchmark(), np.array([0.2e-3, 0.5e-3, 0.7e-3, 1.0e-3])
+    case, depths = lobes(), np.array([0.2e-3, 0.5e-3, 0.7e-3, 1.0e-3])
     cuts = np.full(4, float(case.cut.spindle_speed)), np.full(4, float(case.cut.feed_rate)), depths
     found = np.abs(leading_multipliers(case, cuts, (), 160))
     np.testing.assert_allclose(found, [0.8192, 1.0726, 1.2197, 1.4040], rtol=3e-3)
 
 
 def test_three_methods_agree():
-    case = benchmark(immersion=0.5, axes=("x", "y"), speed=8000 * RPM)
+    case = lobes(immersion=0.5, axes=("x", "y"), speed=8000 * RPM)
     limits = [float(mx.limit_depth(case, method=method)) for method in ("semi", "floquet", "time")]
     assert limits[1] == pytest.approx(limits[0], rel=0.01)
     assert limits[2] == pytest.approx(limits[1], rel=0.01)
 
 
 def test_derivatives_of_the_limit_depth():
-    case = benchmark(immersion=0.5, speed=9000 * RPM)
+    case = lobes(immersion=0.5, speed=9000 * RPM)
     gradient = jax.grad(mx.limit_depth)(case)
     assert gradient.cut.depth == 0
     for where in (
@@ -138,12 +101,12 @@ def test_derivatives_of_the_limit_depth():
 
 
 def test_the_diagram(tmp_path):
-    case, seen = benchmark(), []
+    case, seen = lobes(), []
     result = mx.stability(case, "9000, 17000 rpm", depths="0.2:4:20 mm", progress=seen.append)
     assert result["limit_depth"].dims == ("analysis", "cut.spindle_speed")
     radius = result["spectral_radius"].to_numpy()
     for speed, row, limit in zip((9000, 17000), radius, result["limit_depth"].to_numpy()[0], strict=True):
-        at = dataclasses.replace(case, cut=benchmark(speed=speed * RPM).cut)
+        at = dataclasses.replace(case, cut=lobes(speed=speed * RPM).cut)
         assert limit == pytest.approx(float(mx.limit_depth(at)), rel=1e-6)
         depths = result["cut.depth"].to_numpy() * 1e-3
         assert (row[depths < limit] < 1).all()
@@ -169,7 +132,7 @@ def test_where_there_is_no_limit(case, message):
 
 
 def test_what_cannot_be_used_is_refused():
-    case = benchmark()
+    case = lobes()
     with pytest.raises(ValueError, match=r'speeds: "3000:4000 rpm" given, without how many'):
         mx.stability(case, "3000:4000 rpm")
     with pytest.raises(ValueError, match=r"speeds.*mm cannot be converted"):

@@ -1,5 +1,7 @@
 """What derivatives cost beside the simulation itself."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -30,27 +32,26 @@ def figures(run: Run):
 def programs(case):
     """The simulation and its derivatives as compiled functions of six factors."""
 
-    def traces(factors):
-        sim = simulate(case, factors)
-        return sim.force, sim.displacement
-
     def cost(factors):
         return jnp.sum(simulate(case, factors).force ** 2)
 
-    return {SIMULATION: jax.jit(traces), JACOBIAN: jax.jit(jax.jacfwd(traces)), GRADIENT: jax.jit(jax.grad(cost))}
+    of_case = functools.partial(traces, case)
+    return {SIMULATION: jax.jit(of_case), JACOBIAN: jax.jit(jax.jacfwd(of_case)), GRADIENT: jax.jit(jax.grad(cost))}
 
 
 def row_by_row(case):
     """The same Jacobian with one direction at a time, the rows in front: needs little more memory than its result."""
 
-    def traces(factors):
-        sim = simulate(case, factors)
-        return sim.force, sim.displacement
-
     def jacobian(factors):
-        return jax.lax.map(lambda direction: jax.jvp(traces, (factors,), (direction,))[1], jnp.eye(len(factors)))
+        along = functools.partial(jax.jvp, functools.partial(traces, case), (factors,))
+        return jax.lax.map(lambda direction: along((direction,))[1], jnp.eye(len(factors)))
 
     return jax.jit(jacobian)
+
+
+def traces(case, factors):
+    sim = simulate(case, factors)
+    return sim.force, sim.displacement
 
 
 def simulate(case, factors):
