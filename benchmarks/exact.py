@@ -31,6 +31,8 @@ Forces = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 ROUNDING = 1e-12
 """The last change of a secant, of an angle [rad]: what is left is smaller, of the size of rounding, 1e-15 m."""
+INSTANT = 1e-7
+"""Time over which a velocity is taken [s]."""
 RAYS = 100_000
 """Rays at once: as many as the cache takes."""
 
@@ -78,12 +80,12 @@ class Cutter:
         tool, slices = case.tool, case.settings.slices if slices is None else slices
         speed, depth = float(case.cut.spindle_speed), float(case.cut.depth)
         radius, helix = float(tool.radius), 0.0 if tool.helix is None else float(tool.helix)
-        theta = 2 * np.pi * np.arange(tool.teeth) / tool.teeth
+        theta = np.asarray(tool.spacing)
         lag = (np.arange(slices)[:, None] + 0.5) * (depth / slices) * np.tan(helix) / radius
         runout = np.zeros(1) if tool.runout is None else np.asarray(tool.runout)
         if tool.offset is not None:
             runout = runout + float(tool.offset) * np.cos(theta - lag - float(tool.offset_angle))
-        return Cutter.end_mill(radius, tool.teeth, speed, depth, slices=slices, helix=helix, runout=runout)
+        return Cutter.end_mill(radius, tool.teeth, speed, depth, slices=slices, helix=helix, pitch=tool.pitch, runout=runout)
 
     @property
     def teeth(self) -> int:
@@ -129,6 +131,14 @@ def law_of(case: mx.Case) -> Forces:
     kt, kr, ke = float(law.kt), float(law.kr), float(law.ke)
     kre, kae = (share * ke if own is None else float(own) for own, share in ((law.kre, kr), (law.kae, ka)))
     return linear(kt, kr, ka, ke, kre, kae)
+
+
+def flank_of(case: mx.Case) -> tuple[float, float]:
+    """What the flanks of the teeth need to press on the wavy surface that they leave."""
+    coefficient = case.force.process_damping
+    if coefficient is None:
+        return 0.0, 0.0
+    return float(coefficient / (case.cut.spindle_speed * case.tool.radius)), float(case.cut.feed_rate)
 
 
 def motion(start, feed_rate, time=None, displacement=None) -> Position:
@@ -232,6 +242,7 @@ def cut_along(
     *,
     passes: int = 8,
     parts: int = 16,
+    flank: tuple[float, float] = (0.0, 0.0),
 ) -> Cutting:
     """Mean force and chip thickness over the steps of length `dt` [s] around `time` [s].
 
@@ -240,6 +251,7 @@ def cut_along(
     - `position`, `stock`, `forces`: the motion of the tool, the uncut stock, the force law.
     - `passes`: how many earlier passes are looked at, at least the number of teeth where their radii differ. While every
       tooth cuts, one is enough; a tooth that loses contact needs more.
+    - `flank`: process damping C/V [N s/m²], and the feed rate [m/s], which is no vibration: see `flank_of`.
     - `parts`: of a step, each sampled in its middle. A step in which a tooth begins or ceases to cut has the square of it.
 
     What a mean lacks is of second order in the parts where the thickness is continuous. Where it jumps by J, as at a border
@@ -255,7 +267,7 @@ def cut_along(
         for first in range(0, len(step), max(1, RAYS // n)):
             some = slice(first, first + max(1, RAYS // n))
             found, touches = _means(
-                cutter, position, stock, forces, time[step[some]], level[some], tooth[some], dt, passes, n
+                cutter, position, stock, forces, time[step[some]], level[some], tooth[some], dt, passes, n, flank
             )
             whole = ~touches if n == parts else np.full(len(touches), True)
             changes.append(~whole)
@@ -272,15 +284,19 @@ def cut_along(
     return Cutting(force, chips)
 
 
-def _means(cutter, position, stock, forces, time, level, tooth, dt, passes, parts):
+def _means(cutter, position, stock, forces, time, level, tooth, dt, passes, parts, flank):
     """Of cells, in `parts` each: means of the force per depth and the thickness, (cells, 4), and where contact changes."""
     within = np.concatenate([(np.arange(parts) + 0.5) / parts, [0.0, 1.0]]) - 0.5
     t = time[:, None] + within * dt  # the ends of the step only show whether the tooth cuts there
     level, tooth = (np.broadcast_to(i[:, None], t.shape) for i in (level, tooth))
     h = thickness(cutter, position, stock, t.ravel(), level.ravel(), tooth.ravel(), passes).reshape(t.shape)
     cutting = h > 0
-    phi, h = cutter.angle(t, level, tooth)[:, :parts], h[:, :parts]
+    phi, h, t = cutter.angle(t, level, tooth)[:, :parts], h[:, :parts], t[:, :parts]
     tangential, radial, axial = (np.where(h > 0, f, 0.0) for f in forces(h))
+    damping, feed_rate = flank
+    if damping:
+        vx, vy = (position(t + INSTANT) - position(t - INSTANT)) / (2 * INSTANT)
+        radial = radial + np.where(h > 0, damping * ((vx - feed_rate) * np.cos(phi) - vy * np.sin(phi)), 0.0)
     x = tangential * np.sin(phi) - radial * np.cos(phi)
     y = tangential * np.cos(phi) + radial * np.sin(phi)
     changes = cutting.any(axis=1) & ~cutting.all(axis=1)

@@ -31,6 +31,8 @@ class Conditions(NamedTuple):
     depth: Scalar
     """Of a slice [m]."""
     width: Scalar
+    damping: Scalar | None
+    """Process damping: radial force over the velocity, per unit of depth [N s/m²]; None for none."""
 
 
 class Slice(NamedTuple):
@@ -72,16 +74,21 @@ class Solution(NamedTuple):
     """By how much the second sweep made the error smaller, or what was expected of it [-]."""
 
 
-def cutting(process: Process, displacement: Float[Array, "2 m"]) -> tuple[Forces, Float[Array, "teeth m"]]:
-    """Mean force on the tool in each step [N], and the mean chip thickness of each tooth [m], over all slices."""
+def cutting(process: Process, motion: Float[Array, "felt m"]) -> tuple[Forces, Float[Array, "teeth m"]]:
+    """Mean force on the tool in each step [N], and the mean chip thickness of each tooth [m], over all slices.
+
+    `motion` is what the force feels: the displacement, x and y [m], and with process damping the velocity too [m/s].
+    """
     p = process
+    displacement, velocity = motion[:2], tuple(motion[2:])
 
     def of_slice(own, inside):
         gap, rate = thickness(found_paths(p, own, displacement), p.conditions.width, p.step_angle)
         near, far = (lambda *at, near=near: contact(p, own, inside, p.conditions, *at, near=near) for near in (True, False))
         met = lax.cond(p.near, near, far, displacement, gap, rate)
-        law, depth, _ = p.conditions
-        return force_on_tool(own.angles, met.tangential, met.engaged, met.turn, law, depth), met.thickness
+        law, depth, _, damping = p.conditions
+        forces = force_on_tool(own.angles, met.tangential, met.engaged, met.turn, law, depth, velocity, damping)
+        return forces, met.thickness
 
     forces, found = of_slices(of_slice, p.slices, p.inside)
     return tuple(added(force) for force in forces), added(found) / len(found)
@@ -109,7 +116,7 @@ def found_paths(p: Process, own: Slice, displacement: Float[Array, "2 m"]) -> Pa
 
 def contact(p: Process, own: Slice, inside, conditions: Conditions, displacement, gap, rate, *, near: bool) -> Contact:
     """What the teeth of a slice meet under these conditions, near a border or far from all."""
-    law, _, width = conditions
+    law, width = conditions.law, conditions.width
     if len(own.borders.before) and near:
         return crossing(law, own.borders, displacement, gap, rate, p.step_angle, width, p.near)
     met = fully_inside(law, gap, rate, p.step_angle, width)
@@ -121,8 +128,8 @@ def contact(p: Process, own: Slice, inside, conditions: Conditions, displacement
 
 def solve(
     process: Process,
-    position: Motion,
-    free: Float[Array, "2 m"],
+    felt: Motion,
+    free: Float[Array, "felt m"],
     guess: Forces,
     *,
     contraction: Scalar,
@@ -131,8 +138,8 @@ def solve(
 ) -> Solution:
     """Forces over the block, by sweeps from `guess` until their error [N] is `allowed`, at most `sweeps`.
 
-    `free` is the displacement without a force [m]. A sweep makes the error smaller by `contraction`, or by what the last
-    two sweeps show.
+    `felt` is the motion that the forces feel, by the forces, and `free` that without any, as in `cutting`. A sweep makes the
+    error smaller by `contraction`, or by what the last two sweeps show.
     """
 
     def more(found):
@@ -141,7 +148,7 @@ def solve(
 
     def sweep(found):
         force, _, before, contraction, error, count = found
-        new, chip = cutting(process, free + position.of_force(force).reshape(2, -1))
+        new, chip = cutting(process, free + felt.of_force(force).reshape(free.shape))
         change = norm(difference(new, force))
         shown = jnp.where(change < before, change / jnp.where(before > 0, before, 1.0), 1.0)
         left = change * jnp.where(count > 0, shown, contraction)

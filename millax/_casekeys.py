@@ -155,6 +155,8 @@ def _force(**keys: Key) -> Section:
 
 LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear": LinearLaw, "exponential": ExponentialLaw}
 
+PROCESS_DAMPING = Quantity("N/m", NOT_NEGATIVE, required=False)
+
 FORCE: dict[str, Section] = {
     "fractional": _force(
         k0=Quantity("N/m^2", POSITIVE),
@@ -162,6 +164,7 @@ FORCE: dict[str, Section] = {
         r=Quantity("", NOT_NEGATIVE),
         kr=Quantity(""),
         ka=Quantity("", required=False),
+        process_damping=PROCESS_DAMPING,
     ),
     "linear": _force(
         kt=Quantity("N/m^2", POSITIVE),
@@ -170,12 +173,14 @@ FORCE: dict[str, Section] = {
         ka=Quantity("", required=False),
         kre=Quantity("N/m", required=False),
         kae=Quantity("N/m", required=False),
+        process_damping=PROCESS_DAMPING,
     ),
     "exponential": _force(
         kf=Quantity(f"N/m^{EXPONENT}", POSITIVE),
         m=Quantity("", Range(0, 1, closed=False)),
         kr=Quantity(""),
         ka=Quantity("", required=False),
+        process_damping=PROCESS_DAMPING,
     ),
 }
 """The keys of [force], which depend on the law."""
@@ -186,6 +191,7 @@ SECTIONS: dict[str, Section] = {
             "diameter": Quantity("m", POSITIVE),
             "teeth": Whole(1),
             "helix": Quantity("rad", Range(0, STEEPEST), required=False),
+            "pitch": Quantity("rad", POSITIVE, "list", required=False),
             "runout": Quantity("m", ANY, "list", required=False),
             "offset": Quantity("m", NOT_NEGATIVE, required=False),
             "offset_angle": Quantity("rad", required=False),

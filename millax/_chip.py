@@ -7,8 +7,8 @@ surface is
     g_k = n . D_k + (e . D_k)²/(2 R) - (n . c'(t - k tau)) (e . D_k)/(Omega R),        e = dn/dphi,
 
 with c' the whole velocity, feed included, and the chip thickness is h = max(0, min_k g_k). Of unequal teeth, R_i - R_j is
-added to g_k. Against exact tooth paths the force error is 0.007 % in a nominal slot. Passes with abs(e . D_k) >= R are
-skipped: the two circles do not meet there.
+added to g_k; where they are not equally spaced, k tau is the time between the two teeth. Against exact tooth paths the
+force error is 0.007 % in a nominal slot. Passes with abs(e . D_k) >= R are skipped: the two circles do not meet there.
 
 The earlier passes are known while a block is computed; the present displacement changes with every sweep.
 """
@@ -37,18 +37,26 @@ class Commanded(NamedTuple):
     tip_speed: Scalar
     """Omega R [m/s]."""
     radius: Scalar
+    lead: Float[Array, "passes teeth 1"] | None = None
+    """How long before the tooth that of the earlier pass cut, over the mean time between two teeth; None for 1, 2, ..."""
     excess: Float[Array, "passes teeth 1"] | None = None
     """R_i - R_{i + k}: by how much each tooth reaches farther than the one of the earlier pass [m]; None for equal teeth."""
 
 
 class Earlier(NamedTuple):
-    """The earlier passes 1 ... K in the steps of a block, as far as the thickness depends on them."""
+    """The earlier passes 1 ... K in the steps of a block, as far as the thickness depends on them. Where the teeth are not
+    equally spaced, each tooth has earlier motions of its own."""
 
-    displacement: Float[Array, "passes 2 m"]
+    displacement: Float[Array, "passes 2 *teeth m"]
     """u(t - k tau) [m]."""
-    velocity: Float[Array, "passes 2 m"]
+    velocity: Float[Array, "passes 2 *teeth m"]
     """u'(t - k tau) [m/s]."""
     commanded: Commanded
+
+    def advance(self, k: int) -> Array:
+        """The feed between pass k, from 0, and now [m]."""
+        lead = self.commanded.lead
+        return self.commanded.feed_per_tooth * (k + 1 if lead is None else lead[k])
 
 
 Paths = tuple[tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]], ...]
@@ -57,11 +65,11 @@ Paths = tuple[tuple[Float[Array, "teeth m"], Float[Array, "teeth m"]], ...]
 
 def paths(angles: Angles, earlier: Earlier, displacement: Float[Array, "2 m"]) -> Paths:
     """How far the tip of each tooth is from the surfaces left by the earlier passes."""
-    feed_per_tooth, feed_rate, tip_speed, radius, excess = earlier.commanded
+    _, feed_rate, tip_speed, radius, _, excess = earlier.commanded
     curvature, slowness = 1 / (2 * radius), 1 / tip_speed
     found = []
     for k in range(len(earlier.displacement)):
-        dx = displacement[0] - earlier.displacement[k, 0] + (k + 1) * feed_per_tooth
+        dx = displacement[0] - earlier.displacement[k, 0] + earlier.advance(k)
         dy = displacement[1] - earlier.displacement[k, 1]
         vx = (earlier.velocity[k, 0] + feed_rate) * slowness
         vy = earlier.velocity[k, 1] * slowness

@@ -86,7 +86,7 @@ class Contact(NamedTuple):
 def fully_inside(law: ForceLaw, gap, rate, step_angle: float, width: Scalar) -> Contact:
     """Mean force and thickness in each step of teeth that meet no border; arguments as in `crossing`."""
     half = half_change(rate, step_angle, width)
-    engaged = None if law.own_edges is None else _mean_force(UnitLaw(), gap, half)
+    engaged = _mean_force(UnitLaw(), gap, half) if law.feels_contact else None
     return Contact(_mean_force(law, gap, half), engaged, None, positive_part(gap, half))
 
 
@@ -138,7 +138,7 @@ def crossing(
     h, start, end = stored(near, passage, borders, displacement, gap, rate, width)
     ramp_low, ramp_high, part, per_length, mean, turn = stored(near, parts, h, start, end, rate, width)
     met = gap, rate, turn, ramp_low, ramp_high, part, per_length, width
-    engaged = None if law.own_edges is None else forces(UnitLaw(), *met)
+    engaged = forces(UnitLaw(), *met) if law.feels_contact else None
     return Contact(forces(law, *met), engaged, turn, mean)
 
 
@@ -167,9 +167,19 @@ def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, 
     return nearest
 
 
-def force_on_tool(angles: Angles, tangential, engaged, turn, law: ForceLaw, depth: Scalar) -> tuple[Array, ...]:
+def force_on_tool(
+    angles: Angles,
+    tangential,
+    engaged,
+    turn,
+    law: ForceLaw,
+    depth: Scalar,
+    velocity: tuple[Array, ...],
+    damping: Scalar | None,
+) -> tuple[Array, ...]:
     """Forces on the tool along x and y (E 29), and z where the law has an axial force, summed over the teeth [N], each of
-    shape (m,); `tangential`, `engaged` and `turn` as in `Contact`."""
+    shape (m,); `tangential`, `engaged` and `turn` as in `Contact`, `velocity` of the tool [m/s] and process `damping`
+    [N s/m²], if any."""
     cos, sin = angles
     if turn is not None:
         cos, sin = cos - sin * turn, sin + cos * turn
@@ -180,5 +190,8 @@ def force_on_tool(angles: Angles, tangential, engaged, turn, law: ForceLaw, dept
         of_radial, of_axial = law.own_edges
         radial = radial + depth * of_radial * engaged
         axial = None if axial is None else axial + depth * of_axial * engaged
+    if engaged is not None and damping is not None:
+        vx, vy = velocity
+        radial = radial + depth * damping * engaged * (cos * vx - sin * vy)
     in_plane = tangential * sin - radial * cos, tangential * cos + radial * sin
     return tuple(jnp.sum(along, axis=0) for along in (in_plane if axial is None else (*in_plane, axial)))

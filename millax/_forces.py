@@ -24,10 +24,16 @@ class ForceLaw(eqx.Module):
 
     F_r pushes the tool away from the tooth, F_a along +z, up its axis. k_a is negative where the helix pulls the tool out of
     its holder, as a right-handed one does. None: there is no axial force, and none is computed.
+
+    With `process_damping` C [N/m], the flank of a tooth in contact presses on the wavy surface that it leaves, with a radial
+    force C (n . u')/V per unit of axial depth: u' is the velocity of the vibration, n points from the tool centre to the tip
+    and V = Omega R is the cutting speed (Tyler and Schmitz, J. Manuf. Process. 15, 2013, 69-76).
     """
 
     kr: eqx.AbstractVar[Scalar]
-    ka = None  # laws that have an axial force make it a field
+    # Laws that have them make them fields.
+    ka = None
+    process_damping = None
 
     @abc.abstractmethod
     def tangential(self, h: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -36,6 +42,11 @@ class ForceLaw(eqx.Module):
     @abc.abstractmethod
     def work(self, low: Float[Array, "..."], high: Float[Array, "..."]) -> Float[Array, "..."]:
         """W, the integral of F_t from h = low to h = high [N], for 0 <= low <= high [m]."""
+
+    @property
+    def feels_contact(self) -> bool:
+        """Whether some force depends on which part of a step a tooth is in contact, beside its thickness."""
+        return self.own_edges is not None or self.process_damping is not None
 
     @property
     def own_edges(self) -> tuple[Scalar, Scalar] | None:
@@ -80,6 +91,7 @@ class LinearLaw(ForceLaw):
     - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
     - `kre`: radial edge coefficient k_rE [N/m]; None is k_r k_E.
     - `kae`: axial edge coefficient k_aE [N/m], along +z like F_a; None is k_a k_E. Needs `ka`.
+    - `process_damping`: C [N/m], >= 0, see `ForceLaw`. None: none.
     """
 
     kt: Scalar = eqx.field(converter=as_number)
@@ -88,6 +100,7 @@ class LinearLaw(ForceLaw):
     ka: Scalar | None = eqx.field(converter=optional, default=None)
     kre: Scalar | None = eqx.field(converter=optional, default=None)
     kae: Scalar | None = eqx.field(converter=optional, default=None)
+    process_damping: Scalar | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         positive("force.kt", self.kt, "N/m^2")
@@ -95,7 +108,7 @@ class LinearLaw(ForceLaw):
         finite("force.kr", self.kr, "")
         if self.kae is not None and self.ka is None:
             raise ValueError("force.kae: given without force.ka; give both, ka = 0 if the axial force is of the edge alone")
-        _finite_if_given(self, "ka", "kre", "kae")
+        _check_options(self, "ka", "kre", "kae")
 
     @property
     def own_edges(self):
@@ -123,18 +136,20 @@ class ExponentialLaw(ForceLaw):
     - `m`: exponent [-], > 0 (E: < 1). The slope at h = 0, infinite for m < 1, is finite in the step mean.
     - `kr`: radial over tangential force k_r [-].
     - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
+    - `process_damping`: C [N/m], >= 0, see `ForceLaw`. None: none.
     """
 
     kf: Scalar = eqx.field(converter=as_number)
     m: Scalar = eqx.field(converter=as_number)
     kr: Scalar = eqx.field(converter=as_number)
     ka: Scalar | None = eqx.field(converter=optional, default=None)
+    process_damping: Scalar | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         positive("force.kf", self.kf, "N/m^(1+m)")
         positive("force.m", self.m, "")
         finite("force.kr", self.kr, "")
-        _finite_if_given(self, "ka")
+        _check_options(self, "ka")
 
     def tangential(self, h):
         return self.kf * h**self.m
@@ -155,6 +170,7 @@ class FractionalLaw(ForceLaw):
     - `r`: k_inf/k_0 [-], >= 0 (E: < 1).
     - `kr`: radial over tangential force k_r [-].
     - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
+    - `process_damping`: C [N/m], >= 0, see `ForceLaw`. None: none.
     """
 
     k0: Scalar = eqx.field(converter=as_number)
@@ -162,13 +178,14 @@ class FractionalLaw(ForceLaw):
     r: Scalar = eqx.field(converter=as_number)
     kr: Scalar = eqx.field(converter=as_number)
     ka: Scalar | None = eqx.field(converter=optional, default=None)
+    process_damping: Scalar | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         positive("force.k0", self.k0, "N/m^2")
         positive("force.hs", self.hs, "m")
         not_negative("force.r", self.r, "")
         finite("force.kr", self.kr, "")
-        _finite_if_given(self, "ka")
+        _check_options(self, "ka")
 
     def tangential(self, h):
         u = h / self.hs
@@ -195,7 +212,9 @@ class UnitLaw(ForceLaw):
         return high - low
 
 
-def _finite_if_given(law: ForceLaw, *names: str) -> None:
+def _check_options(law: ForceLaw, *names: str) -> None:
+    if law.process_damping is not None:
+        not_negative("force.process_damping", law.process_damping, "N/m")
     for name in names:
         if getattr(law, name) is not None:
             finite(f"force.{name}", getattr(law, name), "N/m" if name.endswith("e") else "")

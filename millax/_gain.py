@@ -49,12 +49,20 @@ def gain_kernel(tool: EndMill, force: ForceLaw, structure: Structure, cut: Cut, 
     return gain_of(tool, force, cut, width, response_to_one_step(structure, cut.tooth_period(tool) / steps, steps))
 
 
-def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, by_lag: Float[Array, "2 2*m"]) -> Float[Array, " m"]:
-    """The gain over the lag in steps [-], from the position after a force in one step."""
+def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, by_lag: Float[Array, "2 felt m"]) -> Float[Array, " m"]:
+    """The gain over the lag in steps [-], from the position after a force in one step, and the velocity."""
     thickness = jnp.maximum(cut.feed_per_tooth(tool), width)
     in_contact = (tool.teeth + 1) // 2
     kappa = in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2)
-    return kappa * jnp.linalg.norm(by_lag.reshape(4, -1), axis=0)
+
+    def size(response):
+        return jnp.linalg.norm(response.reshape(4, -1), axis=0)
+
+    gain = kappa * size(by_lag[:, :2])
+    if force.process_damping is None:
+        return gain
+    by_velocity = in_contact * cut.depth * force.process_damping / (cut.spindle_speed * tool.radius)
+    return gain + by_velocity * size(by_lag[:, 2:])
 
 
 def sweeps_needed(

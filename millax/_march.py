@@ -21,6 +21,7 @@ from ._block import Conditions, Forces, Process, Slice, anywhere, difference, no
 from ._chip import Commanded, Earlier
 from ._einsum import LONGEST
 from ._forces import ForceLaw
+from ._history import earlier_motion
 from ._linear import Others, contract, linearise, respond
 from ._math import stored
 from ._response import BlockResponse
@@ -41,13 +42,23 @@ class Place(NamedTuple):
 
 
 class Model(NamedTuple):
-    """All that a simulation depends on. `place` has an entry per block, and before that one per tooth period of a turn, or a
-    single one where all teeth are equal: then every tooth period is like the one before."""
+    """All that a simulation depends on.
+
+    What is called a period here is a tooth period, cut into blocks. Where the teeth are not equally spaced, a surface may
+    have been left less than that before it is met: then a period is as long as a block, and there is one block in it.
+
+    `place` has an entry per block, and before that one per period of a turn, or a single one where all teeth are equal: then
+    every period is like the one before.
+    """
 
     law: ForceLaw
     depth: Scalar
     """Of a slice [m]."""
     width: Scalar
+    advance: Scalar
+    """Feed in a period [m]."""
+    lag: Float[Array, "passes teeth"] | None
+    """By how many time steps each tooth comes after those of the earlier passes, where they are not equally spaced."""
     feed_per_tooth: Scalar
     feed_rate: Scalar
     tip_speed: Scalar
@@ -59,12 +70,18 @@ class Model(NamedTuple):
     tolerance: Scalar
     """Error of the force in a block that may be left, over the largest force [-]."""
     periods: Scalar
-    """Tooth periods that count. A march in several stretches goes on for a few more."""
+    """Periods that count. A march in several stretches goes on for a few more."""
+    steps_per_tooth: int
     step_angle: float
+
+    @property
+    def dt(self) -> Scalar:
+        """The time step [s], as the angle between two steps over the speed of the spindle."""
+        return self.step_angle * self.radius / self.tip_speed
 
 
 class Past(NamedTuple):
-    """Motions of the tool in one period, or in several remembered ones."""
+    """Motions of the tool in one period, or in several remembered ones, the newest in front."""
 
     displacement: Float[Array, "... 2 m"]
     velocity: Float[Array, "... 2 m"]
@@ -103,8 +120,10 @@ class Traces(NamedTuple):
 
 def at_rest(model: Model, passes: int) -> Carry:
     """The tool before the first period."""
-    _, blocks, _, _, m = model.place.slices.angles.cos.shape
-    still = jnp.zeros((blocks, passes, 2, m))
+    turn, blocks, _, teeth, m = model.place.slices.angles.cos.shape
+    # Teeth that are not equally spaced look back to a time between the samples; that many passes take so many turns at most.
+    kept = passes if model.lag is None else -(-passes // teeth) * turn
+    still = jnp.zeros((blocks, kept, 2, m))
     none = tuple(jnp.zeros((blocks, m)) for _ in model.response.motion.by)
     zero = jnp.zeros_like(model.contraction)
     state = jnp.zeros(len(model.response.motion.free))
@@ -113,11 +132,11 @@ def at_rest(model: Model, passes: int) -> Carry:
 
 
 def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> tuple[Carry, Traces]:
-    """Simulate `periods` tooth periods: what they leave, and their traces."""
+    """Simulate so many periods: what they leave, and their traces."""
     # Stretches of equal length, with a few periods more than asked for, so that one program serves them all.
     stretches = -(-periods // STRETCH)
     length = -(-periods // stretches)
-    number = jnp.arange(stretches * length, dtype=model.response.position.free.dtype).reshape(stretches, length)
+    number = jnp.arange(stretches * length, dtype=model.response.felt.free.dtype).reshape(stretches, length)
     if stretches == 1:
         return stretch(model, start, number[0], sweeps=sweeps)
     checkpointed = jax.checkpoint(lambda carry, number: stretch(model, carry, number, sweeps=sweeps))
@@ -128,19 +147,26 @@ def march(model: Model, start: Carry, periods: int, *, sweeps: int) -> tuple[Car
 def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
     """What turns displacement into force in one block of one tooth period."""
     slices, commanded, conditions = surroundings(model, place, period)
-    reached = _within_reach(model, place, period * model.feed_per_tooth, past.displacement)
-    return Process(slices, Earlier(*past, commanded), conditions, *reached, step_angle=model.step_angle)
+    reached = _within_reach(model, place, period * model.advance, past.displacement)
+    return Process(slices, Earlier(*met_motions(model, past), commanded), conditions, *reached, step_angle=model.step_angle)
 
 
 def surroundings(model: Model, place: Place, period: Scalar) -> Others:
     """What the force depends on beside the present and the earlier displacement of the tool."""
-    commanded = Commanded(model.feed_per_tooth, model.feed_rate, model.tip_speed, model.radius)
-    slices = place.slices._replace(borders=place.slices.borders.moved(period * model.feed_per_tooth))
-    return Others(slices, commanded, Conditions(model.law, model.depth, model.width))
+    lead = None if model.lag is None else model.lag[..., None] / model.steps_per_tooth
+    commanded = Commanded(model.feed_per_tooth, model.feed_rate, model.tip_speed, model.radius, lead)
+    slices = place.slices._replace(borders=place.slices.borders.moved(period * model.advance))
+    damping = None if model.law.process_damping is None else model.law.process_damping / model.tip_speed
+    return Others(slices, commanded, Conditions(model.law, model.depth, model.width, damping))
+
+
+def met_motions(model: Model, past: Past) -> Past:
+    """Of the remembered motions those that count in a block: in the steps in which the surfaces were left that it meets."""
+    return past if model.lag is None else Past(*earlier_motion(*past, model.lag, model.dt))
 
 
 def place_in(period: Scalar, places: Place) -> Place:
-    """The places of a tooth period, one per block."""
+    """The places of a period, one per block."""
 
     def of(x):
         turn = len(x)
@@ -151,7 +177,7 @@ def place_in(period: Scalar, places: Place) -> Place:
 
 @eqx.filter_custom_jvp
 def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, sweeps: int) -> tuple[Carry, Traces]:
-    """Tooth periods with these numbers, from what the one before left."""
+    """Periods with these numbers, from what the one before left."""
     response = model.response
 
     def block(carry, inputs):
@@ -161,8 +187,8 @@ def stretch(model: Model, start: Carry, number: Float[Array, " periods"], *, swe
         free = response.motion.of_state(state)
         solution = solve(
             process(model, place, past, period),
-            response.position,
-            response.parted(free)[0],
+            response.felt,
+            response.felt_in(free),
             tuple(now + trend * new for now, new in zip(last, newest, strict=True)),
             contraction=contraction,
             allowed=model.tolerance * largest,
@@ -210,6 +236,10 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
         return eqx.filter_jvp(of, (model, place), (by_model, by_place))[1]
 
+    def met_changes(past, change):
+        """Of the motions that count in a block, by that of the remembered ones."""
+        return change if model.lag is None else eqx.filter_jvp(met_motions, (model, past), (by_model, change))[1]
+
     # How the motion changes at a known state and force. The large matrices of long blocks are better multiplied by all at
     # once.
     by_response = _or_zero(response.motion, by_model.response.motion)
@@ -219,31 +249,37 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
     def block(carry, inputs):
         change, period = carry
-        (touching, by), past, known, place, by_place = inputs
-        direct = stored(touching, contract, by, past, changes(place, by_place, period))
+        (touching, by), past, by_past, known, place, by_place = inputs
+        direct = stored(touching, contract, by, met_changes(past, by_past), changes(place, by_place, period))
         free = extra(*known) + response.motion.of_state(change)
-        force = tuple(respond(by.displacement, direct, response.parted(free)[0], response.position, sweeps, touching))
+        force = tuple(respond(by.motion, direct, response.felt_in(free), response.felt, sweeps, touching))
         displacement, velocity, end = response.parted(free + response.motion.of_force(force))
         return (end, period), (change, force, Past(displacement, velocity))
 
-    def linearised(place, by_place, past, displacement, period):
+    def linearised(place, by_place, past, motion, period):
         p = process(model, place, past, period)
-        return p.touching, linearise(p, changes(place, by_place, period), displacement)
+        return p.touching, linearise(p, changes(place, by_place, period), felt(model, motion))
 
     def tooth_period(carry, inputs):
-        state, past = carry
-        earlier, displacement, known, period = inputs
+        state, by_past = carry
+        past, motion, known, period = inputs
         place, by_place = place_in(period, model.place), place_in(period, by_model.place)
-        by = jax.vmap(linearised, (0, 0, 0, 0, None))(place, by_place, earlier, displacement, period)
-        (state, _), traces = lax.scan(block, (state, period), (by, past, known, place, by_place))
-        return (state, _shifted(past, traces[2])), traces
+        by = jax.vmap(linearised, (0, 0, 0, 0, None))(place, by_place, past, motion, period)
+        needed = None if model.lag is None else past
+        (state, _), traces = lax.scan(block, (state, period), (by, needed, by_past, known, place, by_place))
+        return (state, _shifted(by_past, traces[2])), traces
 
     zero = _or_zero((start.state, start.past), (by_start.state, by_start.past))
     (state, past), (states, forces, motion) = lax.scan(
-        tooth_period, zero, (remembered(start.past, traces.motion), traces.motion.displacement, known, number)
+        tooth_period, zero, (remembered(start.past, traces.motion), traces.motion, known, number)
     )
     nothing = jax.tree.map(jnp.zeros_like, (end[2:], traces.thickness, traces.error))
     return (end, traces), (Carry(state, past, *nothing[0]), Traces(states, forces, motion, *nothing[1:]))
+
+
+def felt(model: Model, motion: Past) -> Float[Array, "... felt m"]:
+    """What the force feels of a motion."""
+    return motion.displacement if model.law.process_damping is None else jnp.concatenate(motion, axis=-2)
 
 
 def _or_zero(values, tangents):
@@ -270,11 +306,13 @@ def _shifted(past: Past, motion: Past) -> Past:
 def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[Array, Bool[Array, ""], Bool[Array, ""]]:
     """Where no tooth meets a border, which ones are inside all borders, shape (slices, teeth, 1); whether one may meet the
     stock at all, and whether one may meet a border: judged from earlier displacements."""
-    place, travelled, feed, displacement = lax.stop_gradient((place, travelled, model.feed_per_tooth, displacement))
+    longest = 1.0 if model.lag is None else jnp.max(model.lag[0]) / model.steps_per_tooth
+    feed = model.feed_per_tooth * longest
+    place, travelled, feed, displacement = lax.stop_gradient((place, travelled, feed, displacement))
     newest = displacement[0]
     moved = jnp.max(jnp.abs(newest))
     change = jnp.max(jnp.abs(displacement[1:] - newest)) if len(displacement) > 1 else moved
-    # The tool is where it was one tooth period earlier, give or take some of what it changed by.
+    # The tool is where it was one period earlier, give or take some of what it changed by.
     reach = 2 * feed + 4 * change
     if place.slices.excess is not None:
         reach = reach + jnp.max(jnp.abs(lax.stop_gradient(place.slices.excess)))

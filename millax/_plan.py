@@ -61,7 +61,7 @@ def plan(case: Case, members: Members) -> Plan:
 
     Raises `ValueError` where the time steps cannot resolve the fastest mode of a member, or a trace would be too long.
     """
-    tooth_period, kernel, *matrices = _features(case, members)
+    tooth_period, shortest, kernel, *matrices = _features(case, members)
     steps = case.settings.steps_per_tooth
     fastest = fastest_rate(*matrices) if matrices else np.zeros(len(members))
     hardest = int(np.argmax(fastest * tooth_period))
@@ -79,9 +79,9 @@ def plan(case: Case, members: Members) -> Plan:
             f"the member with {members.words(longest)}: its {periods[longest] * steps:.2g} time steps are more than the "
             f"{MOST_STEPS:.0e} that one trace can hold. Simulate a shorter cut"
         )
-    blocks = np.array(block_options(steps))
+    blocks = np.array(block_options(steps, float(shortest.min())))
     if case.structure.coordinates == 0:
-        blocks, needed = np.ones(1, int), np.ones((len(members), 1), int)
+        blocks, needed = blocks[:1], np.ones((len(members), 1), int)
     else:
         needed = sweeps_needed(kernel, blocks, float(case.settings.tolerance))
     return Plan(periods, _grouped(periods, blocks, needed, functools.partial(IN_BATCH, steps, blocks)))
@@ -96,14 +96,14 @@ def _features(case: Case, members: Members) -> list[np.ndarray]:
 
 @eqx.filter_jit
 def _features_of(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n names"]):
-    """Of every member: tooth period [s], `gain_kernel`, and M, C and K, where the tool is not rigid."""
+    """Of every member: tooth period [s], shortest pitch, `gain_kernel`, and M, C and K, where the tool is not rigid."""
 
     def features(values):
         c = member(case, names, values)
         s = c.structure
         kernel = gain_kernel(c.tool, c.force, s, c.cut, c.settings.width, c.settings.steps_per_tooth)
         matrices = (s.mass_matrix, s.damping_matrix, s.stiffness_matrix) if s.coordinates else ()
-        return c.cut.tooth_period(c.tool), kernel, *matrices
+        return c.cut.tooth_period(c.tool), jnp.asarray(c.tool.shortest, float), kernel, *matrices
 
     return lax.map(features, table, batch_size=32)
 

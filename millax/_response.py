@@ -42,27 +42,34 @@ class BlockResponse(NamedTuple):
     are those at the middle of each step.
     """
 
-    position: Motion
-    """In the plane, (x, y) by steps [m]."""
+    felt: Motion
+    """What the force feels: the position in the plane, (x, y) by steps [m], and with process damping the velocity [m/s]."""
     motion: Motion
-    """Position and velocity [m/s] in the plane, and the state after the block: see `parted`."""
+    """Position and velocity in the plane, and the state after the block: see `parted`."""
     axes: Motion
     """Position along the axes of the structure, axes by steps [m]."""
 
-    def to_one_step(self) -> Float[Array, "2 2*m"]:
+    def to_one_step(self) -> Float[Array, "2 felt m"]:
         """As `response_to_one_step`."""
-        return jnp.stack([by[0] for by in self.position.by[:2]])
+        return jnp.stack([self._by_steps(by[0]) for by in self.felt.by[:2]])
+
+    def felt_in(self, columns: Float[Array, " columns"]) -> Float[Array, "felt m"]:
+        """What the force feels of the columns of `motion`."""
+        return self._by_steps(columns[: self.felt.free.shape[1]])
+
+    def _by_steps(self, columns):
+        return columns.reshape(-1, len(self.felt.by[0]))
 
     def parted(self, columns: Float[Array, " columns"]) -> tuple[Array, Array, Array]:
         """The columns of `motion`: position and velocity, each of shape (2, m), and the state after the block."""
-        plane = self.position.free.shape[1]
+        plane = 2 * len(self.motion.by[0])
         position, velocity, end, _ = jnp.split(columns, [plane, 2 * plane, 2 * plane + len(self.motion.free)])
         return position.reshape(2, -1), velocity.reshape(2, -1), end
 
 
-def block_response(structure: Structure, dt: Scalar, steps: int, forces: int = 2) -> BlockResponse:
+def block_response(structure: Structure, dt: Scalar, steps: int, forces: int = 2, felt: int = 2) -> BlockResponse:
     """The response of `structure` over `steps` steps of length `dt` [s] to so many forces, along x, y and z; from the matrix
-    exponential."""
+    exponential. The forces feel the position in the plane (`felt` is 2), or the velocity too (4)."""
     n = structure.coordinates
     powers, to_middle, lagged, step_input = _after_steps(structure, dt, steps, forces)
     lag = np.arange(steps)[:, None] - np.arange(steps)[None, :]
@@ -78,17 +85,18 @@ def block_response(structure: Structure, dt: Scalar, steps: int, forces: int = 2
     velocity = observed(jnp.concatenate([still, structure.in_plane_shapes / dt], axis=1))
     end = Motion(powers[steps].T, tuple(jnp.einsum("lst,tb->bls", powers[:steps][::-1], step_input)))
     return BlockResponse(
-        position,
+        position if felt == 2 else jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=1), position, velocity),
         motion=jax.tree.map(lambda *parts: _side_by_side(parts), position, velocity, end),
         axes=observed(jnp.concatenate([structure.shapes, jnp.zeros_like(structure.shapes)], axis=1)),
     )
 
 
-def response_to_one_step(structure: Structure, dt: Scalar, steps: int) -> Float[Array, "2 2*steps"]:
-    """Position in the middle of each step, (x, y) by steps [m], after a force of 1 N along x, or y, in the first one."""
+def response_to_one_step(structure: Structure, dt: Scalar, steps: int) -> Float[Array, "2 4 steps"]:
+    """Position (x, y) [m] and velocity [m/s] in the middle of each step, after 1 N along x, or y, in the first one."""
     _, _, lagged, _ = _after_steps(structure, dt, steps, 2)
-    seen = lagged[:, : structure.coordinates]
-    return jnp.einsum("as,jsb->baj", structure.in_plane_shapes, seen).reshape(2, -1)
+    n, shapes = structure.coordinates, structure.in_plane_shapes
+    position, travel = (jnp.einsum("as,jsb->baj", shapes, seen) for seen in (lagged[:, :n], lagged[:, n:]))
+    return jnp.concatenate([position, travel / dt], axis=1)
 
 
 def _after_steps(structure: Structure, dt: Scalar, steps: int, forces: int):

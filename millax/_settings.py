@@ -40,7 +40,8 @@ class Settings(eqx.Module):
       0.2 % (`make validate`).
     - `passes`: earlier tooth passes remembered, >= 1. One is enough while no tooth loses contact, a turn of them where the
       teeth are not equal.
-    - `blocks`: parts into which a tooth period is cut, a divisor of steps_per_tooth. Each is computed at once.
+    - `blocks`: parts into which a tooth period is cut, a divisor of steps_per_tooth. Each is computed at once; none may be
+      longer than the shortest pitch.
     - `sweeps`: most fixed-point sweeps per block, >= 1; a block takes as many as `tolerance` asks for, its derivatives take
       them all. `Settings.suited` chooses `blocks` and `sweeps`.
     - `slices`: axial slices into which a helical tool is cut, >= 1. In each it is straight-fluted.
@@ -172,16 +173,30 @@ def _warn_of_runout(tool: EndMill, cut: Cut) -> None:
 
 def _cheapest(tool, force, structure, cut, settings, blocks, sweeps) -> tuple[int, int]:
     """Blocks per tooth period and sweeps per block that converge at the least cost."""
+    options = block_options(settings.steps_per_tooth, float(tool.shortest))
+    if blocks is not None and blocks < options[0]:
+        raise ValueError(
+            f"simulation.blocks: {blocks} given; the shortest pitch of tool.pitch is {float(tool.shortest):.3g} of the mean "
+            f"one, and a block must not be longer. Give {options[0]} or more"
+        )
+    options = np.array([blocks] if blocks else options)
     if structure.coordinates == 0:
-        return blocks or 1, sweeps or 1
+        return int(options[0]), sweeps or 1
     kernel = np.asarray(gain_kernel(tool, force, structure, cut, settings.width, settings.steps_per_tooth))
-    options = np.array([blocks] if blocks else block_options(settings.steps_per_tooth))
     needed = sweeps_needed(kernel[None], options, float(settings.tolerance))[0]
     cost = COMPILED if loops_are_compiled() else DISPATCHED
     best = int(np.argmin(cost(settings.steps_per_tooth, options, needed)))
     return int(options[best]), sweeps or int(needed[best]) + SPARE
 
 
-def block_options(steps_per_tooth: int) -> list[int]:
-    """Numbers of blocks into which a tooth period may be cut."""
-    return [parts for parts in range(1, 17) if steps_per_tooth % parts == 0]
+def block_options(steps_per_tooth: int, shortest: float = 1.0) -> list[int]:
+    """Numbers of blocks into which a tooth period may be cut: none is longer than the shortest pitch, in parts of the mean
+    one. Raises `ValueError` where there is none."""
+    options = [parts for parts in range(1, 17) if steps_per_tooth % parts == 0 and parts * shortest > 1 - 1e-9]
+    if not options:
+        raise ValueError(
+            f"tool.pitch: the shortest pitch is {shortest:.3g} of the mean one; tooth periods are cut into at most 16 "
+            f"blocks, which must divide simulation.steps_per_tooth ({steps_per_tooth}), and none be longer than a pitch. "
+            "Give another number of steps, such as 48, or a longer pitch"
+        )
+    return options

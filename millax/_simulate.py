@@ -26,7 +26,7 @@ from ._contact import borders_met
 from ._cut import Cut
 from ._forces import ForceLaw
 from ._gain import RERUNS, gain_of, reachable
-from ._march import Carry, Model, Past, Place, at_rest, march, place_in, process, remembered
+from ._march import Carry, Model, Past, Place, at_rest, felt, march, place_in, process, remembered
 from ._response import block_response
 from ._settings import Settings
 from ._stock import Stock
@@ -133,11 +133,13 @@ def simulate(*parts, throw: bool = True) -> Simulation:
 def _simulate(case: Case) -> Simulation:
     tool, settings, structure = case.tool, case.settings, case.structure
     model = model_of(case)
-    steps, blocks = settings.steps_per_tooth, settings.blocks
+    steps = settings.steps_per_tooth
+    _, blocks, _, _, m = model.place.slices.angles.cos.shape
     forces = len(model.response.motion.by)
     sweeps = settings.sweeps if structure.coordinates else 1
     start = at_rest(model, settings.passes)
-    end, traces = march(model, start, settings.periods, sweeps=sweeps)
+    periods = settings.steps // (blocks * m)
+    end, traces = march(model, start, periods, sweeps=sweeps)
     state, force, motion, chip, error = traces
     *largest, moved = lax.stop_gradient(end.peaks)
     chip, error = lax.stop_gradient((chip, error))
@@ -146,7 +148,7 @@ def _simulate(case: Case) -> Simulation:
         displacement = motion.displacement[..., tuple("xy".index(axis) for axis in structure.axes), :]
     else:
         displacement = moved = jax.vmap(jax.vmap(model.response.axes))(state, force)
-    displacement = _trace(displacement.reshape(settings.periods, blocks, len(structure.axes), steps // blocks))
+    displacement = _trace(displacement.reshape(periods, blocks, len(structure.axes), m))
     largest = jnp.max(jnp.stack(jax.tree.leaves(largest)))
     residual = jnp.max(error) / jnp.where(largest > 0, largest, 1.0)
     return Simulation(
@@ -166,11 +168,17 @@ def model_of(case: Case) -> Model:
     steps = settings.steps_per_tooth
     m = steps // settings.blocks
     dt = cut.tooth_period(tool) / steps
-    response = block_response(case.structure, dt, m, forces=2 if law.ka is None else 3)
+    response = block_response(
+        case.structure, dt, m, forces=2 if law.ka is None else 3, felt=2 if law.process_damping is None else 4
+    )
+    lead = tool.lead(settings.passes)
+    period = 1 if lead is None else settings.blocks  # see `Model`
     return Model(
         law=law,
         depth=cut.depth / settings.slices,
         width=settings.width,
+        advance=cut.feed_per_tooth(tool) / period,
+        lag=None if lead is None else lead * steps,
         feed_per_tooth=cut.feed_per_tooth(tool),
         feed_rate=cut.feed_rate,
         tip_speed=cut.spindle_speed * tool.radius,
@@ -179,7 +187,8 @@ def model_of(case: Case) -> Model:
         response=response,
         contraction=lax.stop_gradient(jnp.sum(gain_of(tool, law, cut, settings.width, response.to_one_step()))),
         tolerance=reachable(settings.tolerance, dt.dtype),
-        periods=jnp.asarray(settings.periods, dt.dtype),
+        periods=jnp.asarray(settings.periods * period, dt.dtype),
+        steps_per_tooth=steps,
         step_angle=2 * np.pi / (tool.teeth * steps),
     )
 
@@ -188,13 +197,13 @@ def _chips(model: Model, start: Carry, motion: Past) -> Float[Array, "periods bl
     """Chip thickness of known motions."""
 
     def of_period(inputs):
-        period, past, displacement = inputs
-        return jax.vmap(lambda place, past, u: cutting(process(model, place, past, period), u)[1])(
-            place_in(period, model.place), past, displacement
+        period, past, motion = inputs
+        return jax.vmap(lambda place, past, motion: cutting(process(model, place, past, period), felt(model, motion))[1])(
+            place_in(period, model.place), past, motion
         )
 
-    number = jnp.arange(len(motion.velocity), dtype=model.response.position.free.dtype)
-    return _map_periods(of_period, (number, remembered(start.past, motion), motion.displacement))
+    number = jnp.arange(len(motion.velocity), dtype=model.response.felt.free.dtype)
+    return _map_periods(of_period, (number, remembered(start.past, motion), motion))
 
 
 def _map_periods(function, inputs):
@@ -231,19 +240,19 @@ def _derivatives_of_model(primals, tangents):
 
 
 def _places(case: Case, m: int) -> Place:
-    """Directions and borders of every block of the first tooth period, in later ones only the feed has gone on; or of every
-    tooth period of a turn where the teeth are not equal."""
+    """Directions and borders of every block of the first period, in later ones only the feed has gone on; or of every period
+    of a turn where the teeth are not equal."""
     tool, cut, settings = case.tool, case.cut, case.settings
     steps = settings.steps_per_tooth
     step_angle = 2 * np.pi / (tool.teeth * steps)
-    turn = 1 if tool.equal_teeth else tool.teeth
-    # Axes: tooth periods, blocks, slices, borders, teeth, steps of a block.
-    step = np.arange(steps).reshape(1, settings.blocks, 1, 1, 1, m)
-    period = np.arange(turn).reshape(-1, 1, 1, 1, 1, 1)
-    tooth = np.arange(tool.teeth)[:, None]
-    phi = (tooth + period) * (2 * np.pi / tool.teeth) + (step + 0.5) * step_angle
+    period = steps if tool.pitch is None else m  # see `Model`
+    turn = 1 if tool.equal_teeth else tool.teeth * steps // period
+    # Axes: periods, blocks, slices, borders, teeth, steps of a block.
+    step = np.arange(period).reshape(1, -1, 1, 1, 1, m)
+    begin = np.arange(turn).reshape(-1, 1, 1, 1, 1, 1) * period
+    phi = tool.spacing[:, None] + (begin + step + 0.5) * step_angle
     lag = tool.lag((jnp.arange(settings.slices) + 0.5) * (cut.depth / settings.slices))
-    if tool.helix is not None:
+    if settings.slices > 1 or tool.helix is not None:
         phi = phi - lag[:, None, None, None]
     deviation = tool.deviation(lag)
     radius = tool.radius if deviation is None else (tool.radius + deviation)[:, None, :, None]

@@ -92,7 +92,7 @@ def tip_paths(case: Case, sim: Simulation, height: Float[Array, ""] | float = 0.
     deviation = tool.deviation(lag)
     still = jnp.zeros(sim.time.size)
     return TipPaths(
-        angles=jnp.arange(tool.teeth) * (2 * np.pi / tool.teeth) - lag,
+        angles=tool.spacing - lag,
         radii=jnp.broadcast_to(tool.radius, (tool.teeth,)) + (0.0 if deviation is None else deviation),
         speed=cut.spindle_speed,
         feed_rate=cut.feed_rate,

@@ -41,7 +41,7 @@ def test_response_to_stepwise_forces(structure):
         z = run.y[:, 1]
     middles = np.array(middles).T
 
-    response = block_response(structure, jnp.asarray(dt), steps)
+    response = block_response(structure, jnp.asarray(dt), steps, felt=4)
     start = jnp.concatenate([state[:n], state[n:] * dt])
     pair = (jnp.asarray(force[0]), jnp.asarray(force[1]))
     scale = np.abs(middles[:n]).max()
@@ -52,14 +52,16 @@ def test_response_to_stepwise_forces(structure):
     assert np.allclose(end, np.concatenate([z[:n], z[n:] * dt]), atol=1e-10 * scale, rtol=0)
     rows = [("x", "y").index(a) for a in structure.axes]
     assert np.allclose(response.axes(start, pair).reshape(-1, steps), np.asarray(position)[rows], rtol=1e-12)
-    parts = response.position.of_state(start) + response.position.of_force(pair)
-    assert np.allclose(parts.reshape(2, steps), position, atol=1e-14 * scale, rtol=0)
+    felt = (response.felt.of_state(start) + response.felt.of_force(pair)).reshape(4, steps)
+    assert np.allclose(felt[:2], position, atol=1e-14 * scale, rtol=0)
+    assert np.allclose(felt[2:], velocity, atol=1e-14 * speed, rtol=0)
+    assert np.allclose(response.felt_in(response.motion(start, pair)), felt, atol=1e-14 * speed, rtol=0)
 
 
 @pytest.mark.parametrize("structure", [COUPLED, ONE], ids=["coupled", "one"])
 def test_response_to_one_step_is_the_first_row_of_the_whole(structure):
     dt, steps = jnp.asarray(4e-5), 8
-    whole = block_response(structure, dt, steps)
+    whole = block_response(structure, dt, steps, felt=4)
     alone = response_to_one_step(structure, dt, steps)
     assert np.allclose(whole.to_one_step(), alone, rtol=1e-12, atol=1e-14 * np.abs(alone).max())
 

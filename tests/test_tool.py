@@ -1,4 +1,4 @@
-"""Helix, runout and axial forces: beside exact tooth paths, beside straight tools, and their derivatives."""
+"""Helix, pitch, runout, axial forces, process damping: beside exact tooth paths and straight tools; their derivatives."""
 
 import dataclasses
 
@@ -14,6 +14,7 @@ from benchmarks import exact
 
 HELIX = np.radians(30)
 UP, DOWN = mx.Stock.box((None, None), (0.0, None)), mx.Stock.box((None, None), (None, 0.0))
+PITCH = np.radians([82, 97, 86, 95])
 EDGES = mx.LinearLaw(1.5e9, 0.3, ke=1.5e4, ka=-0.25, kre=2e4, kae=-4e3)
 
 
@@ -31,9 +32,12 @@ def difference(ours, theirs) -> float:
     return float(np.sqrt(((ours - theirs) ** 2).sum() / (theirs**2).sum()))
 
 
+EVEN = {"pitch": np.full(4, np.pi / 2)}
 CUTS = {
     "helix, down": {"helix": HELIX, "stock": DOWN},
     "runout, down": {"runout": [0.0, 2e-5, 5e-6, -8e-6], "stock": DOWN},
+    "pitch, runout": {"pitch": PITCH, "runout": [0.0, 1e-5, 5e-6, -8e-6]},
+    "process damping, down": {"force": mx.FractionalLaw(5e9, 18e-6, 0.1, 0.3, process_damping=3e7), "stock": DOWN},
     "offset, helix, up": {"offset": 1e-5, "offset_angle": 0.3, "helix": HELIX, "stock": UP},
     "edge and axial forces, helix, offset": {
         "force": EDGES,
@@ -49,7 +53,7 @@ CUTS = {
 def test_forces_beside_exact_tooth_paths(numbers):
     case = cut(**numbers, settings={"passes": 8})
     sim = mx.simulate(case)
-    reference = exact.cut_along(*exact.followed(case, sim), passes=8)
+    reference = exact.cut_along(*exact.followed(case, sim), passes=8, flank=exact.flank_of(case))
     # An edge force jumps in the step in which contact begins: at the sides of a slot several earlier passes vie for it.
     assert difference(sim.force, reference.force) < (1.5e-3 if case.force.own_edges is None else 1e-2)
     assert difference(sim.chip_thickness, reference.thickness) < 3e-3
@@ -73,6 +77,42 @@ def test_teeth_said_to_be_equal_are_equal():
     plain, table = mx.simulate(cut(**numbers)), mx.simulate(cut(runout=np.zeros(4), **numbers))
     for name in ("force", "displacement", "chip_thickness"):
         assert difference(getattr(table, name), getattr(plain, name)) < 1e-9
+
+
+def test_teeth_said_to_be_equally_spaced_are():
+    plain, spaced = (mx.simulate(cut(stock=DOWN, duration=0.06, settings={"passes": 4}, **pitch)) for pitch in ({}, EVEN))
+    for name in ("force", "displacement", "chip_thickness"):
+        assert difference(getattr(spaced, name), getattr(plain, name)) < 1e-8
+
+
+def test_a_tooth_cuts_what_is_fed_during_its_pitch():
+    case = cut(pitch=PITCH, structure=mx.Structure.rigid(), stock=ENDLESS)
+    chip, time = np.asarray(mx.simulate(case).chip_thickness)[-160:], np.asarray(mx.simulate(case).time)[-160:]
+    phi = float(case.cut.spindle_speed) * time[:, None] + np.concatenate([[0.0], np.cumsum(PITCH)[:-1]])
+    feed = float(case.cut.feed_rate / case.cut.spindle_speed) * PITCH * np.cos(phi)
+    full = feed > 2e-5
+    assert full.sum() > 200
+    assert np.allclose(chip[full], feed[full], atol=1e-6)  # first order in f_z/R = 1 %
+
+
+def test_pitch_that_is_no_turn_is_refused():
+    with pytest.raises(ValueError, match=r"tool.pitch: the angles given sum to 350 deg; .*must sum to a turn, 360 deg"):
+        mx.EndMill(0.02, 4, pitch=np.radians([80, 100, 85, 85]))
+    with pytest.raises(ValueError, match=r"tool.pitch: shape \(3,\) given"):
+        mx.EndMill(0.02, 4, pitch=np.radians([120, 120, 120]))
+    with pytest.raises(ValueError, match=r"tool.pitch: -0.1\d* rad given; it must be greater than 0"):
+        mx.EndMill(0.02, 4, pitch=np.radians([-10, 190, 85, 95]))
+
+
+def test_blocks_longer_than_a_pitch_are_refused():
+    with pytest.raises(ValueError, match=r"blocks: 1 given; the shortest pitch of tool.pitch is 0.911.* Give 2 or more"):
+        cut(pitch=PITCH, settings={"blocks": 1})
+    with pytest.raises(ValueError, match=r"tool.pitch: the shortest pitch is 0.0333 of the mean one"):
+        cut(pitch=np.radians([3, 177, 85, 95]))
+    # Where no one could look, as in a sweep of the pitch, the simulation says so.
+    case = cut(pitch=PITCH, settings={"blocks": 2})
+    short = eqx.tree_at(lambda c: c.tool.pitch, case, jnp.asarray(np.radians([40, 140, 85, 95])))
+    assert int(mx.simulate(short, throw=False).status) == 3
 
 
 def test_an_offset_is_a_runout_that_turns_with_the_tool():
@@ -133,15 +173,17 @@ def test_edge_forces_of_a_full_slot():
 def test_derivatives_of_the_tool_and_its_edges():
     def where(c):
         t, law = c.tool, c.force
-        return [t.helix, t.runout, t.offset, t.offset_angle, t.diameter, law.ka, law.kre, law.kae, c.cut.depth]
+        edges = [law.ka, law.kre, law.kae, law.process_damping]
+        return [t.helix, t.pitch, t.runout, t.offset, t.offset_angle, t.diameter, *edges, c.cut.depth]
 
     structure = mx.Structure(("x", "y", "z"), 5.0, [[3e6, 2e5, 1e5], [2e5, 3e6, 4e5], [1e5, 4e5, 6e6]], damping=[300.0] * 3)
     case = cut(
         helix=0.5,
+        pitch=PITCH,
         runout=[0.0, 4e-6, 8e-6, -4e-6],
         offset=5e-6,
         offset_angle=0.7,
-        force=EDGES,
+        force=dataclasses.replace(EDGES, process_damping=jnp.asarray(2e6)),
         structure=structure,
         stock=mx.Stock.box((None, None), (-0.02, 0.001)),
         duration=0.009,
@@ -157,7 +199,7 @@ def test_derivatives_of_the_tool_and_its_edges():
     one = jnp.ones(len(where(case)))
     backward, value = jax.jit(jax.grad(weighed))(one), jax.jit(weighed)
     for i in range(len(one)):
-        step = 1e-5
+        step = 1e-6 if i == 1 else 1e-5  # a pitch angle is large: the teeth soon move by the width of the gates
         differences = (value(one.at[i].add(step)) - value(one.at[i].add(-step))) / (2 * step)
         assert backward[i] == pytest.approx(float(differences), rel=1e-6)
 
