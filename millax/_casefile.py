@@ -74,17 +74,23 @@ class CaseFile:
 
         The name is that of the file: `force.k0`; `structure.damping_ratio.x` where there is one per axis (`.0`, `.1`
         with mode shapes, whose coordinates have no axis); `structure.stiffness.0.1` for an entry of a matrix. A number
-        which the file leaves to its default has no name, nor has `cut.feed_per_tooth`: the case holds the feed rate
-        that follows from it.
+        which the file leaves to its default has no name, nor have `cut.feed_per_tooth` and `stock.immersion`: the case
+        holds the feed rate and the border that follow from them.
         """
         return leaves(self.tables, _sections(self.tables))
 
     def leaf(self, name: str) -> Leaf:
-        """The leaf called `name`. Raises `CaseError`."""
+        """The leaf called `name`. Raises `CaseError` where there is none, and where another could not be written."""
         if name not in self.leaves:
             raise CaseError(
                 f"{self.source}: {name} is not a number of this case file.{_nearest(name, self.leaves)}\n"
                 f"  Its numbers: {', '.join(self.leaves)}"
+            )
+        if name in ("tool.diameter", "cut.start.y") and "immersion" in self.tables.get("stock", {}):
+            # The case has its border where it is, whatever its diameter becomes; in the file the border would move along.
+            raise CaseError(
+                f"{self.source}: another {name} cannot be written, since stock.immersion counts from the edge of the tool; "
+                "give the borders of the stock as stock.y"
             )
         return self.leaves[name]
 
@@ -126,7 +132,7 @@ def _build(values: Mapping[str, dict[str, Any]]) -> Case:
     cut = _cut(tool, **values["cut"])
     structure = Structure(**values["structure"]) if values["structure"] else Structure.rigid()
     settings = Settings.suited(tool, law, structure, cut, **values["simulation"])
-    return Case(tool, law, cut, Stock.box(**values["stock"]), structure, settings)
+    return Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
 
 
 def _cut(tool: EndMill, spindle_speed, depth, feed_rate=None, feed_per_tooth=None, start=None) -> Cut:
@@ -135,6 +141,16 @@ def _cut(tool: EndMill, spindle_speed, depth, feed_rate=None, feed_per_tooth=Non
     if start is None:
         return Cut.touching(tool, spindle_speed, feed_rate, depth)
     return Cut(spindle_speed, feed_rate, depth, start)
+
+
+def _stock(tool: EndMill, cut: Cut, x=(0.0, None), y=None, immersion=None, milling=None) -> Stock:
+    if immersion is None:
+        if milling is not None:
+            raise ValueError(f'stock.milling: "{milling}" given without stock.immersion, of which it is the side')
+        return Stock.box(x, (None, None) if y is None else y)
+    if y is not None:
+        raise ValueError("stock: y and immersion given; each says where the stock is across the feed. Give one of them")
+    return Stock.immersed(tool, immersion, milling, x, axis_y=cut.start[1])
 
 
 def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:

@@ -213,6 +213,9 @@ SECTIONS: dict[str, Section] = {
         {
             "x": Quantity("m", shape="interval", required=False, parameter=False),
             "y": Quantity("m", shape="interval", required=False, parameter=False),
+            # Not a leaf: the case holds the border that follows from it. `Stock.immersed` knows its range.
+            "immersion": Quantity("m", required=False, parameter=False),
+            "milling": Choice(("up", "down"), required=False),
         },
         required=False,
     ),

@@ -118,8 +118,7 @@ def _quantity(case: Case, name: str) -> Quantity:
 _NOT_VARIED = {
     "tool.teeth": "the number of teeth cannot be varied in one sweep; sweep one case for each",
     "simulation.duration": "the duration belongs to the case; change it there",
-    **{f"stock.{axis}": "the workpiece cannot be varied in a sweep; sweep one case for each" for axis in "xy"},
-}
+} | {f"stock.{key}": "the workpiece cannot be varied in a sweep; sweep one case for each" for key in SECTIONS["stock"].keys}
 
 
 def _unit(case: Case, name: str, values: Values, quantity: Quantity, varied: Mapping[str, Given]) -> tuple[str, float]:

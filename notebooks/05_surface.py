@@ -36,17 +36,16 @@ KT, KR, DEPTH, FEED, TEETH = 6e8, 1 / 3, 0.1e-3, 0.05e-3, 2
 
 # %%
 def case_of(side: str):
-    y = (
-        [f"{1e3 * (RADIUS - IMMERSION)} mm", "100 mm"]
-        if side == "left"
-        else ["-100 mm", f"{-1e3 * (RADIUS - IMMERSION)} mm"]
-    )
     return mx.load_case(
         {
             "tool": {"diameter": 2 * RADIUS, "teeth": TEETH},
             "force": {"law": "linear", "kt": KT, "kr": KR},
             "cut": {"spindle_speed": "20000 rpm", "feed_per_tooth": FEED, "depth": DEPTH, "start": [0.0, 0.0]},
-            "stock": {"x": ["-100 mm", "100 mm"], "y": y},
+            "stock": {
+                "x": ["-100 mm", "100 mm"],
+                "immersion": IMMERSION,
+                "milling": {"left": "up", "right": "down"}[side],
+            },
             "structure": {
                 "axes": ["y"],
                 "mass": MASS,

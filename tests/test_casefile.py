@@ -77,6 +77,35 @@ def test_borders_of_the_stock():
     np.testing.assert_allclose(sides.offsets, [0, 5e-3, 10e-3])
 
 
+def immersed(immersion: str, milling: str) -> tuple[str, str]:
+    return "[cut]", f'[stock]\nimmersion = "{immersion}"\nmilling = "{milling}"\n[cut]'
+
+
+@pytest.mark.parametrize(
+    ("milling", "normal", "offset"), [("down", [0, 1], 3e-3 - 10e-3 + 5e-3), ("up", [0, -1], -(3e-3 + 10e-3 - 5e-3))]
+)
+def test_radial_immersion_counts_from_the_edge_of_the_tool(milling, normal, offset):
+    start = ("depth =", 'start = ["-10 mm", "3 mm"]\ndepth =')
+    stock = case_file(immersed("5 mm", milling), start).case.stock
+    np.testing.assert_allclose(stock.normals, [[-1, 0], normal])
+    np.testing.assert_allclose(stock.offsets, [0, offset], atol=1e-15)
+
+
+@pytest.mark.parametrize("milling", ['milling = "up"\n', ""])
+def test_an_immersion_of_the_diameter_is_a_full_slot(milling):
+    stock = case_file(("[cut]", f'[stock]\nx = ["0 mm", "80 mm"]\nimmersion = "2 cm"\n{milling}[cut]')).case.stock
+    np.testing.assert_allclose(stock.normals, [[-1, 0], [1, 0]])
+
+
+def test_an_immersion_is_not_a_leaf_and_the_edge_it_counts_from_cannot_be_written():
+    file = case_file(immersed("5 mm", "down"))
+    assert "stock.immersion" not in file.leaves
+    again = mx.CaseFile.from_text(file.with_values({"force.k0": 4.8e9})).case
+    np.testing.assert_array_equal(again.stock.offsets, file.case.stock.offsets)
+    with pytest.raises(mx.CaseError, match=r"another tool\.diameter cannot be written, since stock\.immersion"):
+        file.leaf("tool.diameter")
+
+
 def test_the_other_laws():
     fractional = TEXT[TEXT.index("law =") : TEXT.index("[cut]")]
     linear = case_file((fractional, 'law = "linear"\nkt = "700 N/mm^2"\nke = "20 N/mm"\nkr = 0.3\n')).case.force
@@ -141,6 +170,16 @@ BAD = {
     "no feed": ('feed_rate = "4 m/min"', "", ["cut.feed_rate or cut.feed_per_tooth"]),
     "start of three": ("depth =", "start = [0, 0, 0]\ndepth =", ["cut.start", "two numbers"]),
     "stock reversed": ("[cut]", '[stock]\nx = ["80 mm", "0 mm"]\n[cut]', ['stock.x: ["80 mm", "0 mm"]', "smaller first"]),
+    "no immersion": (*immersed("0 mm", "up"), ["stock.immersion: 0 mm given", "greater than 0", "at most", "20 mm"]),
+    "immersion beyond the diameter": (*immersed("21 mm", "up"), ["stock.immersion: 21 mm given", "tool.diameter, 20 mm"]),
+    "immersion without side": (
+        "[cut]",
+        "[stock]\nimmersion = 0.005\n[cut]",
+        ["stock.milling: none given", '"up"', '"down"'],
+    ),
+    "side without immersion": ("[cut]", '[stock]\nmilling = "up"\n[cut]', ["stock.milling", "without stock.immersion"]),
+    "immersion on another side": (*immersed("5 mm", "left"), ['stock.milling: "left" given', '"up", "down"']),
+    "immersion and borders": ("[cut]", "[stock]\ny = [0, 1]\nimmersion = 0.005\n[cut]", ["stock: y and immersion given"]),
     "negative mass": ('"100 kg"', '"-100 kg"', ['structure.mass: "-100 kg" given', "greater than 0"]),
     "mass not positive definite": ('"100 kg"', "[[1, 2], [2, 1]]", ["structure.mass", "positive definite"]),
     "ragged matrix": ('"100 kg"', "[[1, 2], [2]]", ["structure.mass: [[1, 2], [2]] given", "matrix"]),

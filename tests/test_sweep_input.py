@@ -96,6 +96,7 @@ def test_correlated_normal_values(method):
         ({"structure.stiffness": [1e5]}, "name them one by one: structure.stiffness.x, structure.stiffness.y"),
         ({"tool.teeth": [2, 4]}, "tool.teeth: the number of teeth cannot be varied in one sweep"),
         ({"simulation.duration": [1.0]}, "simulation.duration: the duration belongs to the case"),
+        ({"stock.immersion": "1:2:3 mm"}, "stock.immersion: the workpiece cannot be varied in a sweep"),
         ({"cut.depth": "1:2:3 N"}, "unit N cannot be converted to m"),
         ({"cut.depth": "1:2:3"}, 'numbers without a unit given; write it behind them, as in "1 m"'),
         ({"force.kr": "0.1:0.3:3 mm"}, "the unit mm does not belong here"),
