@@ -9,12 +9,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
+
 from ._case import Case
 from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Section
 from ._caseleaves import Leaf, leaves, rewrite
 from ._cut import Cut
 from ._settings import Settings
-from ._stock import Stock
+from ._stock import Stock, passage
 from ._structure import Structure
 from ._tool import EndMill
 from ._units import EXPONENT, show
@@ -113,7 +115,7 @@ def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:
       ("10000 rpm").
 
     Raises `CaseError`, a `ValueError`: no such file, broken TOML, a key that is unknown or missing, a wrong unit or
-    type, a value out of range. The tables of fits and traces are left alone.
+    type, a value out of range, a stock that the tool never meets. The tables of fits and traces are left alone.
     """
     return _case(case, "case") if isinstance(case, Mapping) else CaseFile.read(case).case
 
@@ -132,7 +134,9 @@ def _build(values: Mapping[str, dict[str, Any]]) -> Case:
     cut = _cut(tool, **values["cut"])
     structure = Structure(**values["structure"]) if values["structure"] else Structure.rigid()
     settings = Settings.suited(tool, law, structure, cut, **values["simulation"])
-    return Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
+    case = Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
+    _require_met(case)
+    return case
 
 
 def _cut(tool: EndMill, spindle_speed, depth, feed_rate=None, feed_per_tooth=None, start=None) -> Cut:
@@ -151,6 +155,42 @@ def _stock(tool: EndMill, cut: Cut, x=(0.0, None), y=None, immersion=None, milli
     if y is not None:
         raise ValueError("stock: y and immersion given; each says where the stock is across the feed. Give one of them")
     return Stock.immersed(tool, immersion, milling, x, axis_y=cut.start[1])
+
+
+def _require_met(case: Case) -> None:
+    """Raise `ValueError` where the tool, on its commanded path, never meets the stock in the simulated time.
+
+    The tool is a disc as large as its farthest tooth may be. Until it meets the stock nothing moves it from that path.
+    """
+    tool, cut = case.tool, case.cut
+    x, y = map(float, cut.start)
+    radius = sum(float(jnp.max(part)) for part in (tool.radius, tool.runout, tool.offset) if part is not None)
+    feed_rate, duration = float(cut.feed_rate), case.settings.periods * float(cut.tooth_period(tool))
+    end = x + feed_rate * duration
+    met = passage(case.stock, y, radius)
+    if met is not None and met[0] < end and x < met[1]:
+        return
+    if met is None:
+        sides = " and ".join(_mm(n * o) for n, o in zip(case.stock.normals[:, 1], case.stock.offsets, strict=True) if n)
+        way_out = f"It passes beside it: the stock has borders at y = {sides}. Change cut.start or stock.y"
+    elif x >= met[1]:
+        way_out = f"It leaves the stock behind at x = {_mm(met[1])}. Start before that (cut.start), or change stock.x"
+    elif feed_rate == 0:
+        way_out = f"It has no feed, and would only beyond x = {_mm(met[0])}. Start there (cut.start), or give a feed"
+    else:
+        way_out = (
+            f"It would at x = {_mm(met[0])}, after {(met[0] - x) / feed_rate:.4g} s. Start nearer (cut.start), or "
+            "simulate longer (simulation.duration)"
+        )
+    raise ValueError(
+        f"stock: the tool does not meet it in the simulated time. Its centre goes from x = {_mm(x)} (cut.start) to "
+        f"{_mm(end)}, along y = {_mm(y)}, at {_mm(feed_rate)}/s (cut.feed_rate) for {duration:.4g} s; its radius is "
+        f"{_mm(radius)}.\n  {way_out}"
+    )
+
+
+def _mm(length) -> str:
+    return f"{1e3 * float(length):.4g} mm"
 
 
 def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:

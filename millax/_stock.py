@@ -4,6 +4,7 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ._check import concrete, finite
@@ -100,3 +101,38 @@ class Stock(eqx.Module):
                 'tool.diameter it must be "up" (the stock is at the left of the feed) or "down" (at the right)'
             )
         return Stock.box(x, borders[milling])
+
+
+def passage(stock: Stock, y: float, radius: float) -> tuple[float, float] | None:
+    """From where to where the centre of a disc of radius R that moves along x at `y` is, while it overlaps the stock: two x
+    [m], infinite where the stock does not end. None where it passes beside the stock: to touch it is not to overlap.
+
+    At y + d the disc reaches w = sqrt(R² - d²) to either side of its centre, and the stock from l(d) to h(d): they overlap
+    for l(d) - w < x < h(d) + w. The first end is convex in d and the other concave, so that the extremes are at a corner of
+    the stock, where the disc touches a border (d = -R n_y), or at the ends of the range of d. Needs concrete numbers.
+    """
+    (nx, ny), offsets = np.asarray(stock.normals, dtype=float).T, np.asarray(stock.offsets, dtype=float)
+    room = offsets - ny * y
+    level = np.abs(nx) < 1e-12
+    right, left = ((room / np.where(level, ny, 1.0))[level & (sign * ny > 0)] for sign in (-1, 1))
+    lowest, highest = max([-radius, *right]), min([radius, *left])
+    if not lowest < highest:
+        return None
+    nx, ny, room = nx[~level], ny[~level], room[~level]
+
+    def ends(d):
+        x = (room - ny * d[:, None]) / nx
+        return np.max(x, axis=1, where=nx < 0, initial=-np.inf), np.min(x, axis=1, where=nx > 0, initial=np.inf)
+
+    i, j = np.triu_indices(len(nx), 1)
+    across = ny[i] * nx[j] - ny[j] * nx[i]
+    meeting = np.abs(across) > 1e-12
+    corners = (room[i] * nx[j] - room[j] * nx[i])[meeting] / across[meeting]
+    places = np.unique(np.clip([lowest, highest, *(-radius * ny), *corners], lowest, highest))
+    low, high = ends((places[:-1] + places[1:]) / 2)
+    some = low < high
+    if not some.any():
+        return None
+    d = np.concatenate([places[:-1][some], places[1:][some]])
+    (low, high), w = ends(d), np.sqrt(np.maximum(radius**2 - d**2, 0.0))
+    return float(np.min(low - w)), float(np.max(high + w))

@@ -106,6 +106,17 @@ def test_an_immersion_is_not_a_leaf_and_the_edge_it_counts_from_cannot_be_writte
         file.leaf("tool.diameter")
 
 
+def test_a_tool_that_starts_in_the_stock_needs_no_feed():
+    case_file(("depth =", "start = [0, 0]\ndepth ="), ('"4 m/min"', "0"))
+
+
+def test_a_tooth_that_stands_out_may_meet_what_the_others_do_not():
+    beside = ("[cut]", '[stock]\ny = ["10.004 mm", "80 mm"]\n[cut]')
+    with pytest.raises(mx.CaseError, match="passes beside"):
+        case_file(beside)
+    case_file(beside, ("teeth = 4", 'teeth = 4\noffset = "5 um"\noffset_angle = 0'))
+
+
 def test_the_other_laws():
     fractional = TEXT[TEXT.index("law =") : TEXT.index("[cut]")]
     linear = case_file((fractional, 'law = "linear"\nkt = "700 N/mm^2"\nke = "20 N/mm"\nkr = 0.3\n')).case.force
@@ -180,6 +191,14 @@ BAD = {
     "side without immersion": ("[cut]", '[stock]\nmilling = "up"\n[cut]', ["stock.milling", "without stock.immersion"]),
     "immersion on another side": (*immersed("5 mm", "left"), ['stock.milling: "left" given', '"up", "down"']),
     "immersion and borders": ("[cut]", "[stock]\ny = [0, 1]\nimmersion = 0.005\n[cut]", ["stock: y and immersion given"]),
+    "stock too far": (
+        "depth =",
+        "start = [-0.06, 0]\ndepth =",
+        ["-60 mm (cut.start) to -40 mm", "x = -10 mm, after 0.75 s"],
+    ),
+    "stock behind": ("[cut]", "[stock]\nx = [-1, -0.1]\n[cut]", ["x = -10 mm (cut.start)", "behind at x = -90 mm"]),
+    "stock beside": ("[cut]", "[stock]\ny = [0.01, 0.04]\n[cut]", ["radius is 10 mm", "at y = 10 mm and 40 mm"]),
+    "tool at rest before the stock": ('"4 m/min"', "0", ["has no feed", "beyond x = -10 mm"]),
     "negative mass": ('"100 kg"', '"-100 kg"', ['structure.mass: "-100 kg" given', "greater than 0"]),
     "mass not positive definite": ('"100 kg"', "[[1, 2], [2, 1]]", ["structure.mass", "positive definite"]),
     "ragged matrix": ('"100 kg"', "[[1, 2], [2]]", ["structure.mass: [[1, 2], [2]] given", "matrix"]),

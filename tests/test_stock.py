@@ -1,4 +1,4 @@
-"""The stock: the border of a radial immersion, its derivatives and its forces."""
+"""The stock: the border of a radial immersion, its derivatives and its forces, and where a tool overlaps a stock."""
 
 import math
 
@@ -8,6 +8,7 @@ import pytest
 from cases import slot
 
 import millax as mx
+from millax._stock import passage
 
 TOOL = mx.EndMill(0.02, 4)
 
@@ -51,3 +52,41 @@ def test_an_immersion_out_of_range(immersion):
 def test_a_side_that_is_none(milling, words):
     with pytest.raises(ValueError, match=rf'stock\.milling: {words}; .* "up" .* or "down"'):
         mx.Stock.immersed(TOOL, 0.005, milling)
+
+
+OBLIQUE = mx.Stock([[-0.6, -0.8]], [0.0])  # beyond a line through the origin
+
+PASSAGES = {
+    "endless": (mx.Stock.box((None, None)), 0.0, (-math.inf, math.inf)),
+    "beyond a border": (mx.Stock.box(), 0.0, (-1.0, math.inf)),
+    "a rectangle": (mx.Stock.box((2.0, 5.0), (-3.0, 3.0)), 1.0, (1.0, 6.0)),
+    "a narrow one": (mx.Stock.box((2.0, 5.0), (-1e-9, 1e-9)), 0.0, (1.0, 6.0)),
+    "its corners": (mx.Stock.box((2.0, 5.0), (0.6, 3.0)), 0.0, (2.0 - 0.8, 5.0 + 0.8)),
+    "an oblique border": (OBLIQUE, 0.0, (-1 / 0.6, math.inf)),
+    "the corner of a wedge": (mx.Stock([[-0.6, -0.8], [-0.6, 0.8]], [-1.2, -1.2]), 0.0, (1.0, math.inf)),
+    "beside": (mx.Stock.box((None, None), (1.5, 3.0)), 0.0, None),
+    "touching": (mx.Stock.box((None, None), (1.0, 3.0)), 0.0, None),
+    "beside a wedge": (mx.Stock([[-0.6, -0.8], [0.6, -0.8]], [-1.2, -1.2]), 0.0, None),
+    "empty": (mx.Stock([[1.0, 0.0], [-1.0, 0.0]], [0.0, -1.0]), 0.0, None),
+}
+
+
+@pytest.mark.parametrize(("stock", "y", "expected"), PASSAGES.values(), ids=PASSAGES.keys())
+def test_where_a_disc_of_radius_1_overlaps_a_stock(stock, y, expected):
+    found = passage(stock, y, 1.0)
+    assert found == (None if expected is None else pytest.approx(expected))
+
+
+def test_the_passage_of_a_disc_by_any_stock():
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        angles, offsets = rng.uniform(0, 2 * np.pi, 3), rng.uniform(-0.5, 1, 3)
+        normals = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        # A grid of heights in place of the candidates among which `passage` looks.
+        d = np.linspace(-1, 1, 20001)[:, None]
+        x = (offsets - normals[:, 1] * d) / normals[:, 0]
+        low = np.max(x, axis=1, where=normals[:, 0] < 0, initial=-np.inf)
+        high = np.min(x, axis=1, where=normals[:, 0] > 0, initial=np.inf)
+        w = np.sqrt(1 - d[:, 0] ** 2)[low < high]
+        expected = ((low[low < high] - w).min(), (high[low < high] + w).max()) if w.size else None
+        assert passage(mx.Stock(normals, offsets), 0.0, 1.0) == (expected and pytest.approx(expected, abs=2e-3))
