@@ -27,8 +27,9 @@ def mathieu(steps, order=3, delta=3.0, eps=2.0, b0=-0.15, a1=0.1, tau=2 * np.pi)
     present = mean_over_steps(lambda t: jnp.array([[0.0, 1.0], [-(delta + eps * jnp.cos(t)), -a1]]), period, steps)
     earlier = jnp.broadcast_to(jnp.array([[0.0], [b0]]), (1, steps, 2, 1))
     h = period / steps
-    equation = DelayEquation(present, earlier, 0 * earlier, jnp.array([[1.0, 0.0]]), jnp.asarray(h))
-    return np.asarray(monodromy(equation, (tau / h,), order))
+    seen, lags = jnp.array([[1.0, 0.0]]), np.array([tau / h])
+    equation = DelayEquation(present, earlier, 0 * earlier, seen, jnp.asarray(h), lags, longest=tau / h)
+    return np.asarray(monodromy(equation, order))
 
 
 def mathieu_radius(delta=3.0, eps=2.0, b0=-0.15, a1=0.1, nodes=50) -> float:

@@ -1,4 +1,4 @@
-"""Floquet multipliers of the time-domain model itself: of the engine over one tooth period, around its periodic orbit.
+"""Floquet multipliers of the time-domain model itself: of the engine over one period, around its periodic orbit.
 
 With G the map over a period (`_steady.Period`), the orbit is z = G(z), found by Newton's method, stable or not; the
 multipliers are the eigenvalues of dG/dz there. Both need only products of dG/dz with vectors, which the engine's linear
@@ -30,7 +30,7 @@ CLOSED = 1e-7
 class PeriodicOrbit:
     """A periodic motion of the engine, stable or not.
 
-    - `start`: what it leaves to the next tooth period.
+    - `start`: what it leaves to the next period.
     - `residual`: by how much it does not close, over the feed per tooth [-].
     - `multiplier`: the largest Floquet multiplier around it; NaN where its iteration has not converged.
     """

@@ -1,7 +1,7 @@
 """Stability in the time domain: whether a small vibration of the simulated cut grows or dies away.
 
 The engine starts in the periodic motion under the force on a rigid tool, which is close to its orbit, with a kick of
-`KICK` feeds per tooth. From one tooth period to the next the orbit repeats itself and the vibration does not: what one
+`KICK` feeds per tooth. From one period to the next the orbit repeats itself and the vibration does not: what one
 period differs by from the one before is the vibration alone, and after the transients it grows by the modulus of the largest
 Floquet multiplier per period. No derivative is taken, and every nonlinearity counts.
 """
@@ -25,13 +25,14 @@ PERIODS = 600
 """Tooth periods simulated."""
 
 
-def growth(period: Period, periods: int = PERIODS) -> Scalar:
-    """By what a small vibration grows in a tooth period [-]: 1 at the limit of stability.
+def growth(period: Period, tooth_periods: int = PERIODS) -> Scalar:
+    """By what a small vibration grows in a period [-]: 1 at the limit of stability.
 
     The vibration is the root mean square over a period of what the displacement differs by from the period before. Of the
     periods in which it is small, its mean over the last quarter is compared with that over the quarter before.
     """
     start, feed = period.under_rigid_force(), period.model.feed_per_tooth
+    periods = tooth_periods // period.tooth_periods
     start = start._replace(state=start.state + KICK * feed)
     _, displacement = period.after(start, periods)
     vibration = jnp.sqrt(jnp.mean(jnp.diff(displacement, axis=0) ** 2, axis=(1, 2)))

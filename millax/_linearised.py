@@ -1,8 +1,10 @@
 """The linearised cut: structure and process matrices as one delay equation, and its Floquet multipliers.
 
-    M q'' + C q' + K q = S^T [ P_0(t) u(t) + sum_k ( P_k(t) u(t - k tau) + V_k(t) u'(t - k tau) ) ],      u = S q.
+    M q'' + C q' + K q = S^T [ P_0(t) u(t) + V_0(t) u'(t) + sum_j ( P_j(t) u(t - tau_j) + V_j(t) u'(t - tau_j) ) ],  u = S q.
 
-The process matrices are derivatives of the engine's force (`_steady.process_matrices`), the delay equation is solved by
+With equal teeth there is one delay, of one tooth period, which is the period of the coefficients too. Teeth of unequal radii
+look back several tooth periods, and where they are not equally spaced each one has delays of its own; the period then is a
+turn. The process matrices are derivatives of the engine's force (`_steady.process_matrices`), the equation is solved by
 semi-discretisation (`_semidiscretisation`). With x = (q, dt q') all entries of the state have one unit.
 """
 
@@ -46,7 +48,7 @@ def resolution(case: Case, fewest: int = 80) -> int:
 
 
 def delay_equation(case: Case, steps: int) -> DelayEquation:
-    """Of a steady case, with `steps` steps in a tooth period; one delay, of one tooth period."""
+    """Of a steady case, with `steps` steps in a tooth period."""
     structure, n = case.structure, case.structure.coordinates
     process = process_matrices(case, steps)
     dt = case.cut.tooth_period(case.tool) / steps
@@ -58,10 +60,13 @@ def delay_equation(case: Case, steps: int) -> DelayEquation:
         lower = dt * jnp.linalg.solve(structure.mass_matrix, force)
         return jnp.concatenate([jnp.zeros_like(lower), lower], axis=-2)
 
-    stiffness = jnp.einsum("ia,tij,jb->tab", shapes, process.now, shapes) - structure.stiffness_matrix
+    def on_coordinates(matrices):
+        return jnp.einsum("ia,tij,jb->tab", shapes, matrices, shapes)
+
     moving = jnp.zeros((2 * n, n)).at[:n].set(jnp.eye(n) / dt)
-    damping = moving - accelerated(structure.damping_matrix / dt)
-    present = jnp.concatenate([accelerated(stiffness), jnp.broadcast_to(damping, (steps, 2 * n, n))], axis=-1)
+    stiffness = accelerated(on_coordinates(process.now) - structure.stiffness_matrix)
+    damping = moving + accelerated((on_coordinates(process.now_rate) - structure.damping_matrix) / dt)
+    present = jnp.concatenate([stiffness, damping], axis=-1)
 
     def earlier(matrices):
         return accelerated(jnp.einsum("ia,ktij->ktaj", shapes, matrices))[..., directions]
@@ -72,17 +77,14 @@ def delay_equation(case: Case, steps: int) -> DelayEquation:
         earlier(process.earlier_rate),
         jnp.concatenate([shapes, jnp.zeros_like(shapes)], axis=1)[jnp.array(directions, dtype=int)],
         dt,
+        process.lags,
+        process.longest,
     )
 
 
-def lags(steps: int) -> tuple[float, ...]:
-    """The delays in steps."""
-    return (float(steps),)
-
-
 def _matrix(case: Case, borders: tuple[int, ...], steps: int) -> Float[Array, "N N"]:
-    """Of the map over a tooth period."""
-    return monodromy(delay_equation(steady(case, borders), steps), lags(steps), ORDER)
+    """Of the map over a period."""
+    return monodromy(delay_equation(steady(case, borders), steps), ORDER)
 
 
 @eqx.filter_jit
@@ -111,7 +113,7 @@ def leading_multipliers(case: Case, cuts, borders: tuple[int, ...], steps: int) 
 
 
 def radius_and_gradient(case: Case, borders: tuple[int, ...], steps: int) -> tuple[float, Case]:
-    """Spectral radius of the map over a tooth period, and its derivatives by every number of the case.
+    """Spectral radius of the map over a period, and its derivatives by every number of the case.
 
     dmu = w^H dPhi v with the eigenvectors of the multiplier mu, so the gradient is that of a scalar: Phi v costs one run
     through the period.
@@ -130,7 +132,7 @@ def _columns(x) -> Float[Array, "N 2"]:
 @eqx.filter_jit
 def _gradient(case: Case, v, w, borders: tuple[int, ...], steps: int) -> Case:
     def projected(case):
-        steps_of = integrate(delay_equation(steady(case, borders), steps), lags(steps), ORDER)
-        return jnp.sum(w * over_period(steps_of, lags(steps), v))  # Re(w^H Phi v)
+        steps_of = integrate(delay_equation(steady(case, borders), steps), ORDER)
+        return jnp.sum(w * over_period(steps_of, v))  # Re(w^H Phi v)
 
     return eqx.filter_grad(projected)(case)

@@ -19,8 +19,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from ._check import concrete
 from ._types import Scalar
 
 TERMS, HALVINGS = 12, 4
@@ -28,7 +29,7 @@ TERMS, HALVINGS = 12, 4
 
 
 class DelayEquation(NamedTuple):
-    """The means of the coefficients over each of L steps of length h."""
+    """The means of the coefficients over each of L steps of length h, and the delays."""
 
     present: Float[Array, "L n n"]
     """A [1/s]."""
@@ -40,6 +41,10 @@ class DelayEquation(NamedTuple):
     """C."""
     step: Scalar
     """h [s]."""
+    lags: Float[Array | np.ndarray, " delays"]
+    """tau_j/h; they need not be whole numbers."""
+    longest: float
+    """No lag is longer, whatever its value: so much has to be remembered."""
 
 
 class Steps(NamedTuple):
@@ -48,61 +53,61 @@ class Steps(NamedTuple):
     own: Float[Array, "L n n"]
     by: Float[Array, "L delays order+1 n q"]
     seen: Float[Array, "q n"]
+    first: Int[Array, " delays"]
+    """r_j."""
+    remembered: int
+    """H."""
 
 
-def first_index(lag: float, order: int) -> int:
-    """r: the polynomial of step i goes through y_(i - r) ... y_(i - r + order); `lag` is tau/h."""
-    return int(lag + order / 2 + 1e-9)
-
-
-def remembered(lags: tuple[float, ...], order: int) -> int:
-    """H: how many earlier y are remembered."""
-    return max(first_index(lag, order) for lag in lags)
-
-
-def integrated(equation: DelayEquation, lags: tuple[float, ...], order: int = 3) -> Steps:
+def integrated(equation: DelayEquation, order: int = 3) -> Steps:
     """Exact steps under coefficients that are constant within each.
 
     **Arguments:**
 
-    - `equation`: the coefficients.
-    - `lags`: tau_j/h, one per delay, static; not below `order`/2. They need not be whole numbers.
+    - `equation`: the coefficients, and the lags, not below `order`/2.
     - `order`: of the polynomials through earlier y, >= 0.
 
     Raises `ValueError` for a lag that is too short.
     """
-    for lag in lags:
-        if first_index(lag, order) < order:
-            raise ValueError(
-                f"lags: {lag:g} steps given; with order {order} a delay must be at least {order / 2:g} steps long"
-            )
+    lags = concrete(equation.lags)
+    if lags is not None and lags.min() + order / 2 + 1e-9 < order:
+        raise ValueError(
+            f"lags: {lags.min():g} steps given; with order {order} a delay must be at least {order / 2:g} steps long"
+        )
     own, moments = _moments(equation.present, equation.step, order)
+    # The polynomial of step i goes through y_(i - r) ... y_(i - r + order).
+    first = jnp.floor(lax.stop_gradient(equation.lags) + order / 2 + 1e-9)
     by = []
-    for j, lag in enumerate(lags):
+    for j in range(len(equation.lags)):
         # In step i at time s: y(t - tau) = sum_l y_(i - r + l) sum_p weights[l, p] (s/h)^p.
-        weights = _lagrange(order, first_index(lag, order) - lag)
-        slopes = np.pad(weights[:, 1:] * np.arange(1, order + 1), ((0, 0), (0, 1)))
+        weights = _lagrange(order, first[j] - equation.lags[j])
+        slopes = jnp.pad(weights[:, 1:] * np.arange(1, order + 1), ((0, 0), (0, 1)))
         whole = jnp.einsum("lp,ptab,tbq->tlaq", weights, moments, equation.earlier[j])
         rate = jnp.einsum("lp,ptab,tbq->tlaq", slopes, moments, equation.earlier_rate[j]) / equation.step
         by.append(whole + rate)
-    return Steps(own, jnp.stack(by, axis=1), equation.seen)
+    return Steps(own, jnp.stack(by, axis=1), equation.seen, first.astype(int), _remembered(equation, order))
 
 
-def over_period(steps: Steps, lags: tuple[float, ...], z: Float[Array, "N k"]) -> Float[Array, "N k"]:
+def _remembered(equation: DelayEquation, order: int) -> int:
+    """H: how many earlier y are remembered."""
+    return int(equation.longest + order / 2 + 1e-9)
+
+
+def over_period(steps: Steps, z: Float[Array, "N k"]) -> Float[Array, "N k"]:
     """The map over a period, of k vectors at once."""
-    length, _, points, n, q = steps.by.shape
-    history, columns = remembered(lags, points - 1), z.shape[1]
+    length, delays, points, n, q = steps.by.shape
+    history, columns = steps.remembered, z.shape[1]
     x, before = z[:n], z[n:].reshape(history, q, columns)[::-1]
     seen = jnp.einsum("qn,nk->qk", steps.seen, x)
     # y_(i - H) ... y_i in step i, followed by room for what is to come.
     y = jnp.concatenate([before, seen[None], jnp.zeros((length, q, columns), z.dtype)])
-    start = jnp.array([history - first_index(lag, points - 1) for lag in lags])
+    start = history - steps.first
 
     def step(carry, inputs):
         x, y = carry
         i, own, by = inputs
         x = own @ x
-        for j in range(len(lags)):
+        for j in range(delays):
             part = lax.dynamic_slice_in_dim(y, i + start[j], points)
             x = x + jnp.moveaxis(by[j], 0, 1).reshape(n, points * q) @ part.reshape(points * q, columns)
         y = lax.dynamic_update_index_in_dim(y, steps.seen @ x, i + history + 1, 0)
@@ -112,15 +117,15 @@ def over_period(steps: Steps, lags: tuple[float, ...], z: Float[Array, "N k"]) -
     return jnp.concatenate([x, y[length : length + history][::-1].reshape(history * q, columns)])
 
 
-def monodromy(equation: DelayEquation, lags: tuple[float, ...], order: int = 3) -> Float[Array, "N N"]:
+def monodromy(equation: DelayEquation, order: int = 3) -> Float[Array, "N N"]:
     """The matrix of the map over a period, N = n + q H; arguments as in `integrated`.
 
     Its eigenvalues are the Floquet multipliers, of which the largest are exact to second order in h, and better where the
     coefficients vary slowly.
     """
     _, n, _ = equation.present.shape
-    size = n + len(equation.seen) * remembered(lags, order)
-    return over_period(integrated(equation, lags, order), lags, jnp.eye(size))
+    size = n + len(equation.seen) * _remembered(equation, order)
+    return over_period(integrated(equation, order), jnp.eye(size))
 
 
 def multipliers(matrix: Float[np.ndarray, "N N"]) -> Float[np.ndarray, " k"]:
@@ -158,16 +163,18 @@ def _moments(a: Float[Array, "L n n"], h: Scalar, order: int) -> tuple[Array, Fl
     return own, jnp.stack(moments)
 
 
-def _lagrange(order: int, offset: float) -> Float[np.ndarray, "order+1 order+1"]:
+def _lagrange(order: int, offset: Scalar) -> Float[Array, "order+1 order+1"]:
     """Coefficients of (s/h)^p in Lagrange's polynomials through 0 ... `order`, as functions of s/h + `offset`."""
-    weights = np.zeros((order + 1, order + 1))
+    weights = []
     for at in range(order + 1):
-        polynomial = np.poly1d([1.0])
+        polynomial = [jnp.ones_like(offset)]
         for other in range(order + 1):
-            if other != at:
-                polynomial *= np.poly1d([1.0, offset - other]) / (at - other)
-        weights[at, : len(polynomial.coeffs)] = polynomial.coeffs[::-1]
-    return weights
+            if other != at:  # times (s/h + offset - other)/(at - other)
+                same = [c * (offset - other) / (at - other) for c in polynomial] + [jnp.zeros_like(offset)]
+                higher = [jnp.zeros_like(offset)] + [c / (at - other) for c in polynomial]
+                polynomial = [a + b for a, b in zip(same, higher, strict=True)]
+        weights.append(jnp.stack(polynomial))
+    return jnp.stack(weights)
 
 
 def mean_over_steps(function, period: float, length: int, points: int = 8):

@@ -1,7 +1,11 @@
 """Limits of stability: the axial depth at which a small vibration neither grows nor dies away.
 
-A cut is stable where the spectral radius of the map over a tooth period, the largest modulus of its Floquet multipliers, is
-below 1. Three ways to it: semi-discretisation of the linearised process (`_linearised`), the Floquet multipliers of the
+A cut is stable where the spectral radius of the map over a period, the largest modulus of its Floquet multipliers, is below
+1. The period is a tooth period, or a turn of the tool where its teeth are not equal (runout, pitch). Unequal teeth move the
+tool from tooth to tooth, and so cut chips other than those on its path, around which the process is linearised: where the
+forced vibration is not small against the feed, believe the time-domain model.
+
+Three ways to a limit: semi-discretisation of the linearised process (`_linearised`), the Floquet multipliers of the
 time-domain model itself (`_floquet`), and the growth of a vibration in a simulation (`_growth`).
 """
 
@@ -65,9 +69,10 @@ class StabilityProgress:
 
 @eqx.filter_custom_jvp
 def spectral_radius(case: Case, *, method: Method = "semi") -> Scalar:
-    """Spectral radius of the map over a tooth period, around the periodic motion of the steady cut [-].
+    """Spectral radius of the map over a period, around the periodic motion of the steady cut [-].
 
-    The cut is stable where it is below 1: a small vibration then changes by this factor from tooth to tooth.
+    The cut is stable where it is below 1: a small vibration changes by this factor from tooth to tooth, or from turn to turn
+    where the teeth are not equal.
 
     **Arguments:**
 
@@ -166,7 +171,7 @@ def stability(
         grid = np.sort(depth_values.numbers) * _scale(depth_values.unit)
         coords["cut.depth"] = ("cut.depth", np.sort(depth_values.numbers), {"units": depth_values.unit or "m"})
         radius = np.abs(_map(case, omega, feed_rates, grid, _reporter(progress, "map")))
-        definition = "spectral radius of the map over a tooth period; stable below 1"
+        definition = "spectral radius of the map over a tooth period, or a turn of unequal teeth; stable below 1"
         variables["spectral_radius"] = ((speed, "cut.depth"), radius, {"units": "", "long_name": definition})
     found = np.full((len(methods), len(omega)), np.nan)
     angles = np.full_like(found, np.nan)
@@ -366,11 +371,6 @@ def _checked(case: Case):
         raise ValueError(
             "structure: the tool is rigid in the plane, so it does not chatter and has no limit of stability. Give the case "
             "a [structure] that moves along x or y"
-        )
-    if not case.tool.equal_teeth:
-        raise ValueError(
-            "tool: its teeth are not equal (runout, offset), and the cut repeats itself only with every turn; stability is "
-            "analysed for equal teeth. Leave the runout out"
         )
     if not float(case.cut.feed_rate) > 0:
         raise ValueError("cut.feed_rate: 0 m/s given; without feed no tooth cuts, and there is no limit of stability")

@@ -1,8 +1,8 @@
 """The steady cut: a case without entry and exit along the feed, as stability sees it.
 
-In a workpiece without borders across the feed nothing changes from one tooth period to the next but the feed, so the cut
-has a periodic orbit, and what the tool does in one tooth period is a map of what it did before (`Period`). This file is the
-only one about stability that knows how the engine is called.
+In a workpiece without borders across the feed nothing changes from one period to the next but the feed, so the cut has a
+periodic orbit, and what the tool does in one period is a map of what it did before (`Period`). A period is a tooth period,
+or a turn where the teeth are not equal. This file is the only one about stability that knows how the engine is called.
 """
 
 import dataclasses
@@ -19,28 +19,35 @@ from jaxtyping import Array, Float
 from ._block import cutting
 from ._case import Case
 from ._check import concrete
-from ._march import Carry, Model, Past, at_rest, march, place_in, process
+from ._chip import Earlier
+from ._march import Carry, Model, Past, at_rest, march, process
 from ._simulate import model_of
 from ._stock import Stock
-from ._types import AXES, Scalar
+from ._types import AXES
 
 
 class ProcessMatrices(NamedTuple):
-    """Derivatives of the mean force on the tool in each of L steps of a tooth period, of which the first axis is the pass.
+    """Derivatives of the mean force on the tool in each of the L steps of a period.
 
     Entry (i, j) of each matrix belongs to the force along i and the motion along j, i and j out of x and y.
     """
 
     now: Float[Array, "L 2 2"]
     """By the present displacement [N/m]."""
-    earlier: Float[Array, "passes L 2 2"]
-    """By the displacement one, two ... tooth periods earlier [N/m]."""
-    earlier_rate: Float[Array, "passes L 2 2"]
+    now_rate: Float[Array, "L 2 2"]
+    """By the present velocity [N s/m]: process damping."""
+    earlier: Float[Array, "delays L 2 2"]
+    """By the displacement one delay earlier [N/m]."""
+    earlier_rate: Float[Array, "delays L 2 2"]
     """By the velocity then [N s/m]."""
+    lags: Float[Array | np.ndarray, " delays"]
+    """The delays in steps."""
+    longest: float
+    """What no delay exceeds, whatever the pitch of the teeth."""
 
 
 class Orbit(NamedTuple):
-    """What a tooth period leaves to the next, as far as the motion depends on it: the state of the map over a period.
+    """What a period leaves to the next, as far as the motion depends on it: the state of the map over a period.
 
     All in metres: velocities are multiplied by the time step.
     """
@@ -118,48 +125,67 @@ def seen(case: Case) -> tuple[int, ...]:
     return tuple(i for i, axis in enumerate(AXES[:2]) if axis in case.structure.axes)
 
 
-def process_matrices(case: Case, steps: int, passes: int = 1) -> ProcessMatrices:
-    """The linearised cutting process of a tool that stays on its path, in steps of a tooth period.
+def process_matrices(case: Case, steps: int) -> ProcessMatrices:
+    """The linearised cutting process of a tool that stays on its path.
 
     **Arguments:**
 
     - `case`: a steady one, see `steady`.
-    - `steps`: into which the tooth period is divided, >= 10.
-    - `passes`: earlier passes that count. While no tooth loses contact the force feels only the last one.
+    - `steps`: into which a tooth period is divided, >= 10.
+
+    Teeth of equal radii feel only the last pass; others as many as the settings of the case remember.
     """
+    equal_radii = case.tool.deviation(jnp.zeros(1)) is None
+    passes = 1 if equal_radii else case.settings.passes
     model = model_of(case.with_settings(steps_per_tooth=steps, blocks=1, passes=passes))
-    place = jax.tree.map(lambda x: x[0, 0], model.place)
-    still = jnp.zeros((passes, 2, steps))
+    teeth = case.tool.teeth
+    shape = (passes, 2, steps) if model.lag is None else (passes, 2, teeth, steps)
+    earlier = int(np.prod(shape[:-1]))
+    felt = model.response.felt.free.shape[1] // steps
 
-    def force(now, past):
-        forces, _ = cutting(process(model, place, past, jnp.zeros_like(model.depth)), now)
-        return jnp.stack(forces[:2], axis=1)  # (steps, 2)
+    def force(place, motions):
+        now, past, rate = motions[:felt], motions[felt : felt + earlier], motions[felt + earlier :]
+        found = process(model, place, jax.tree.map(lambda x: x[0], at_rest(model, passes).past), jnp.zeros_like(model.depth))
+        found = dataclasses.replace(
+            found, earlier=Earlier(past.reshape(shape), rate.reshape(shape), found.earlier.commanded)
+        )
+        return jnp.stack(cutting(found, now)[0][:2])  # (2, steps)
 
-    # No step feels another: one change of a whole trace at a time gives the derivatives of all steps. All of them at once:
-    # x and y of the present displacement, then of every earlier displacement, then of every earlier velocity.
-    unit = jnp.eye(2 + 4 * passes).reshape(-1, 1 + 2 * passes, 2, 1) * jnp.ones(steps)
-    by = jax.vmap(lambda d: jax.jvp(force, (still[0], Past(still, still)), _parted(d, passes))[1])(unit)
-    by = jnp.moveaxis(by, 0, -1).reshape(steps, 2, 1 + 2 * passes, 2)
-    now, earlier, rate = jnp.split(jnp.moveaxis(by, 2, 0), [1, 1 + passes])
-    return ProcessMatrices(now[0], earlier, rate)
+    # No step feels another: one change of a whole trace at a time gives the derivatives of all steps.
+    still = jnp.zeros((felt + 2 * earlier, steps))
+    unit = jnp.eye(len(still))[..., None] * jnp.ones(steps)
 
+    def by_motions(place):
+        return jax.vmap(lambda d: jax.jvp(lambda x: force(place, x), (still,), (d,))[1], out_axes=-1)(unit)
 
-def _parted(change: Float[Array, "motions 2 L"], passes: int):
-    """A change of the present displacement, and of the earlier motions."""
-    return change[0], Past(change[1 : 1 + passes], change[1 + passes :])
+    by = jax.vmap(by_motions, out_axes=1)(jax.tree.map(lambda x: x[:, 0], model.place))  # (2, periods, steps, motions)
+    by = jnp.moveaxis(by.reshape(2, -1, len(still)), 0, 1)
+    now, past, rate = jnp.split(by, [felt, felt + earlier], axis=-1)
+
+    def by_delay(matrices):
+        split = matrices.reshape(*matrices.shape[:2], passes, 2, -1)
+        return jnp.moveaxis(split, (2, 4, 3), (0, 1, 4)).reshape(-1, len(by), 2, 2)
+
+    lags = np.arange(1.0, passes + 1) * steps if model.lag is None else model.lag.ravel()
+    longest = passes * steps if model.lag is None else -(-passes // teeth) * teeth * steps
+    now_rate = now[..., 2:] if felt == 4 else jnp.zeros_like(now)
+    return ProcessMatrices(now[..., :2], now_rate, by_delay(past), by_delay(rate), lags, float(longest))
 
 
 class Period(eqx.Module):
-    """The engine over one tooth period, as a map from `Orbit` to `Orbit`."""
+    """The engine over one period, as a map from `Orbit` to `Orbit`."""
 
     model: Model
     sweeps: int = eqx.field(static=True)
     passes: int = eqx.field(static=True)
+    tooth_periods: int = eqx.field(static=True)
+    """How long a period is."""
 
     @staticmethod
     def of(case: Case) -> "Period":
         """For a steady case. Its settings count: steps, blocks, sweeps, passes, width and tolerance."""
-        return Period(model_of(case), case.settings.sweeps if case.structure.coordinates else 1, case.settings.passes)
+        sweeps = case.settings.sweeps if case.structure.coordinates else 1
+        return Period(model_of(case), sweeps, case.settings.passes, 1 if case.tool.equal_teeth else case.tool.teeth)
 
     def at_rest(self) -> Orbit:
         """The tool on its path."""
@@ -167,24 +193,25 @@ class Period(eqx.Module):
         return Orbit(still.state, *still.past)
 
     def __call__(self, orbit: Orbit) -> Orbit:
-        """One tooth period later."""
+        """One period later."""
         return self.after(orbit, 1)[0]
 
     def after(self, orbit: Orbit, periods: int) -> tuple[Orbit, Float[Array, "periods 2 steps"]]:
-        """So many tooth periods later, and the displacement meanwhile [m]."""
-        end, traces = march(self.model, self._carry(orbit), periods, sweeps=self.sweeps)
-        displacement = jnp.moveaxis(traces.motion.displacement, 1, 2)
-        return self._orbit(end), displacement.reshape(*displacement.shape[:2], -1)
+        """So many periods later, and the displacement meanwhile [m]."""
+        end, traces = march(self.model, self._carry(orbit), periods * self._marched, sweeps=self.sweeps)
+        displacement = traces.motion.displacement
+        displacement = displacement.reshape(periods, -1, *displacement.shape[2:])
+        return self._orbit(end), jnp.moveaxis(displacement, 2, 1).reshape(periods, 2, -1)
 
     def under_rigid_force(self) -> Orbit:
         """The periodic motion under the force that a tool on its path would meet: close to the orbit."""
         model, still = self.model, self.at_rest()
-        blocks, _, _, m = still.displacement.shape
-        past = Past(still.displacement, still.travel)
+        blocks, kept, _, m = still.displacement.shape
+        past = Past(still.displacement[0], still.travel[0])
         zero = jnp.zeros_like(model.depth)
-        force, _ = jax.vmap(lambda place, past: cutting(process(model, place, past, zero), jnp.zeros((2, m))))(
-            place_in(zero, model.place), past
-        )
+        places = jax.tree.map(lambda x: x.reshape(x.shape[0] * blocks, *x.shape[2:]), model.place)
+        motionless = jnp.zeros((model.response.felt.free.shape[1] // m, m))
+        force, _ = jax.vmap(lambda place: cutting(process(model, place, past, zero), motionless))(places)
 
         def motion(state):
             def block(state, force):
@@ -198,20 +225,23 @@ class Period(eqx.Module):
         free = jax.jacfwd(lambda state: motion(state)[0])(still.state)
         state = jnp.linalg.solve(jnp.eye(n) - free, pushed) if n else still.state
         _, (displacement, velocity) = motion(state)
-        repeated = tuple(
-            jnp.broadcast_to(x[:, None], (blocks, self.passes, 2, m)) for x in (displacement, velocity * self._dt)
-        )
-        return Orbit(state, *repeated)
+
+        def remembered(x):
+            """What is remembered of a motion that has always gone on like this, the newest in front."""
+            newest = x.reshape(-1, blocks, 2, m)[::-1]
+            return jnp.stack([newest[k % len(newest)] for k in range(kept)], axis=1)
+
+        return Orbit(state, remembered(displacement), remembered(velocity * model.dt))
 
     @property
-    def _dt(self) -> Scalar:
-        """The time step [s], as the angle between two steps over the speed of the spindle."""
-        return self.model.step_angle * self.model.radius / self.model.tip_speed
+    def _marched(self) -> int:
+        """What `_march` calls periods in one of these."""
+        return len(self.model.place.lowest)
 
     def _carry(self, orbit: Orbit) -> Carry:
         return at_rest(self.model, self.passes)._replace(
-            state=orbit.state, past=Past(orbit.displacement, orbit.travel / self._dt)
+            state=orbit.state, past=Past(orbit.displacement, orbit.travel / self.model.dt)
         )
 
     def _orbit(self, carry: Carry) -> Orbit:
-        return Orbit(carry.state, carry.past.displacement, carry.past.velocity * self._dt)
+        return Orbit(carry.state, carry.past.displacement, carry.past.velocity * self.model.dt)
