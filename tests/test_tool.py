@@ -73,7 +73,8 @@ def test_a_helix_of_no_angle_is_straight():
 
 
 def test_teeth_said_to_be_equal_are_equal():
-    numbers = {"settings": {"passes": 3}, "stock": mx.Stock.box((0.0, 0.004), (-0.003, 0.005)), "duration": 0.06}
+    settings, stock = {"passes": 3, "steps_per_tooth": 40}, mx.Stock.box((0.0, 0.004), (-0.003, 0.005))
+    numbers = {"settings": settings, "stock": stock, "duration": 0.06}
     plain, table = mx.simulate(cut(**numbers)), mx.simulate(cut(runout=np.zeros(4), **numbers))
     for name in ("force", "displacement", "chip_thickness"):
         assert difference(getattr(table, name), getattr(plain, name)) < 1e-9
@@ -123,8 +124,9 @@ def test_an_offset_is_a_runout_that_turns_with_the_tool():
 
 def test_a_tooth_that_stands_out_takes_its_lead_from_the_next():
     """Rigid tool, h = f_z cos phi + R_i - R_(i+1): what one tooth takes more, the one after it finds gone."""
-    case = cut(runout=[0.0, 2e-5, 0.0, 0.0], structure=mx.Structure.rigid(), stock=ENDLESS)
-    even = np.asarray(mx.simulate(cut(structure=mx.Structure.rigid(), stock=ENDLESS)).chip_thickness)
+    same = {"structure": mx.Structure.rigid(), "stock": ENDLESS, "settings": {"steps_per_tooth": 40}}
+    case = cut(runout=[0.0, 2e-5, 0.0, 0.0], **same)
+    even = np.asarray(mx.simulate(cut(**same)).chip_thickness)
     more = np.asarray(mx.simulate(case).chip_thickness) - even
     full = even[-160:] > 5e-5
     for tooth, lead in enumerate((-2e-5, 2e-5, 0.0, 0.0)):
@@ -187,7 +189,7 @@ def test_derivatives_of_the_tool_and_its_edges():
         structure=structure,
         stock=mx.Stock.box((None, None), (-0.02, 0.001)),
         duration=0.009,
-        settings={"tolerance": 1e-13, "sweeps": 20, "slices": 2},
+        settings={"tolerance": 1e-13, "sweeps": 20, "slices": 2, "steps_per_tooth": 40},
     )
     weights = jax.random.normal(jax.random.key(0), (case.settings.steps, 6))
 

@@ -5,6 +5,9 @@ nothing else. Exact paths are of second order in the parts of a step; the grid i
 thickness, and forgets no pass.
 """
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 
 import millax as mx
@@ -37,8 +40,11 @@ the wall that it left many passes ago."""
 TOOLS = {
     "helix 30°": {"helix": np.radians(30)},
     "runout 20 µm": {"runout": [0.0, 2e-5, 5e-6, -8e-6]},
+    "variable pitch": {"pitch": np.radians([82, 97, 86, 95])},
     "axis offset by 10 µm, helix 30°": {"offset": 1e-5, "offset_angle": 0.3, "helix": np.radians(30)},
 }
+FLANKS = 3e7
+"""Process damping [N/m]: that of a worn tool, ten times as much."""
 SHORT = 0.02
 """Of the cuts with these tools [s]: of a helix every slice is followed by itself."""
 
@@ -46,6 +52,7 @@ SHORT = 0.02
 def figures():
     yield from _simulated()
     yield from _tools()
+    yield _flanks()
     yield _any_cutter()
 
 
@@ -80,6 +87,17 @@ def _tools():
         yield _read(
             f"{name}, {what}: engine beside the grid, nodes every {SPACING * 1e6:.0f} µm", _percent(sim.force, nodes)
         )
+
+
+def _flanks() -> Figure:
+    """Process damping, of a structure that swings."""
+    case = down_milling(duration=SHORT, passes=PASSES)
+    law = dataclasses.replace(case.force, process_damping=jnp.asarray(FLANKS))
+    case = dataclasses.replace(case, force=law)
+    sim = mx.simulate(case)
+    reference = exact.cut_along(*exact.followed(case, sim), passes=PASSES, flank=exact.flank_of(case)).force
+    what = f"process damping {FLANKS:.0e} N/m, half immersion, down: engine beside exact paths, RMS force difference"
+    return below(what, _percent(sim.force, reference), 0.1, unit=" %")
 
 
 def _any_cutter() -> Figure:

@@ -5,6 +5,8 @@ The benchmark (Insperger and Stepan 2004) has one mode along the feed, or the sa
 because the linear process of the literature is the limit of small feeds.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -31,6 +33,7 @@ def figures():
     for axes in (("x",), ("x", "y")):
         for immersion in IMMERSIONS:
             yield from _three_methods(axes, immersion)
+    yield from _unequal_teeth()
     yield _gradient()
     yield from _whirl()
 
@@ -47,6 +50,24 @@ def _three_methods(axes, immersion):
         yield below(f"{what}, limit depth at {known.sum()} speeds, largest difference", apart.max(), 2.0, unit=" %")
     depths = ", ".join(f"{1e3 * depth:.3g}" for depth in semi)
     yield Figure(f"{len(axes)} mode{'s' * (len(axes) > 1)}, a_e/D = {immersion:g}: limit depths [mm]", depths, "", None)
+
+
+def _unequal_teeth():
+    """Variable pitch, over a turn: the same three methods, and what equal teeth are when a turn is looked at."""
+    even = lobes(axes=("x", "y"), speed=15000 * RPM, passes=2)
+    for pitch in ((170, 190), (160, 200)):
+        case = dataclasses.replace(even, tool=mx.EndMill(0.02, 2, pitch=np.radians(pitch)))
+        found = mx.stability(case, SPEEDS, methods=tuple(mx.STABILITY_METHODS))
+        semi, *others = found["limit_depth"].to_numpy()
+        for name, limit in zip(("Floquet multipliers of the engine", "growth in the time domain"), others, strict=True):
+            what = f"2 modes, slot, pitch {pitch[0]}° and {pitch[1]}°: {name} beside semi-discretisation, limit depth"
+            apart = 100 * np.abs(limit / semi - 1).max()
+            yield below(f"{what} at {len(semi)} speeds, largest difference", apart, 2.0, unit=" %")
+        depths = ", ".join(f"{1e3 * depth:.3g}" for depth in semi)
+        yield Figure(f"2 modes, slot, pitch {pitch[0]}° and {pitch[1]}°: limit depths [mm]", depths, "", None)
+    turn = dataclasses.replace(even, tool=mx.EndMill(0.02, 2, pitch=[np.pi, np.pi]))
+    apart = abs(float(mx.limit_depth(turn)) / float(mx.limit_depth(even)) - 1)
+    yield below("2 modes, slot, equal teeth: limit depth from a turn beside a tooth period", apart, 1e-9, form=".1e")
 
 
 def _published():
