@@ -18,13 +18,10 @@ SPREAD = 0.05
 
 KEPT = ("mean_force", "std_displacement")
 
-PARTS = {64: 1.0, 1024: 0.1}
-"""Duration of a member over that of a single simulation: a batch takes seconds, whatever its size."""
-
 
 def figures(run: Run):
     for members in run.members:
-        result = ask("batch", members, run.duration * PARTS.get(members, 1.0), max(3, run.rounds // 4))
+        result = ask("batch", members, run.duration, max(3, run.rounds // 4))
         steps, wall, cores = int(result["steps"]), result["wall"], int(result["cores"])
         per_step = 1e9 * wall * cores / members / steps
         what = f"batch of {members}, {steps} steps each"
