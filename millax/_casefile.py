@@ -88,22 +88,41 @@ class CaseFile:
                 f"{self.source}: {name} is not a number of this case file.{_nearest(name, self.leaves)}\n"
                 f"  Its numbers: {', '.join(self.leaves)}"
             )
-        if name in ("tool.diameter", "cut.start.y") and "immersion" in self.tables.get("stock", {}):
-            # The case has its border where it is, whatever its diameter becomes; in the file the border would move along.
-            raise CaseError(
-                f"{self.source}: another {name} cannot be written, since stock.immersion counts from the edge of the tool; "
-                "give the borders of the stock as stock.y"
-            )
+        if (tie := self._tie(name)) is not None:
+            raise CaseError(f"{self.source}: another {name} cannot be written, since {tie}")
         return self.leaves[name]
+
+    def _tie(self, name: str) -> str | None:
+        """Why another number in the file would not mean the case with that number: something else moves along."""
+        cut = self.tables.get("cut", {})
+        if name in ("tool.diameter", "cut.start.y") and "immersion" in self.tables.get("stock", {}):
+            return "stock.immersion counts from the edge of the tool; give the borders of the stock as stock.y"
+        if name == "tool.diameter" and "start" not in cut:
+            return "cut.start, where none is given, is one radius before the stock; give cut.start"
+        if name == "cut.spindle_speed" and "feed_per_tooth" in cut:
+            return "the feed rate follows from cut.feed_per_tooth; give cut.feed_rate"
+        if name == self._last_pitch:
+            return "the last pitch angle is what the others leave of the turn; take the others"
+        return None
+
+    @property
+    def _last_pitch(self) -> str:
+        return f"tool.pitch.{len(self.tables['tool'].get('pitch', ())) - 1}"
 
     def with_values(self, values: Mapping[str, float]) -> str:
         """The file's text with other numbers: SI values by leaf name, written in the units of the file.
 
-        Comments, layout and everything else stay as they are. Raises `CaseError` for a name that is no leaf.
+        Comments, layout and everything else stay as they are; of pitch angles the last one makes up the turn. Raises
+        `CaseError` for a name that is no leaf, and one of which no other number can be written.
         """
         # An open exponent may be among the values: a number whose unit has one is written anew in any case.
-        open_ended = {leaf: leaf.value for leaf in self.leaves.values() if EXPONENT in leaf.si_unit}
-        return rewrite(self.text, open_ended | {self.leaf(name): value for name, value in values.items()})
+        written = {leaf: leaf.value for leaf in self.leaves.values() if EXPONENT in leaf.si_unit}
+        written |= {self.leaf(name): value for name, value in values.items()}
+        pitch = {name: leaf for name, leaf in self.leaves.items() if leaf.field == ("tool", "pitch")}
+        if values.keys() & pitch.keys():
+            others = (values.get(name, leaf.value) for name, leaf in pitch.items() if name != self._last_pitch)
+            written[pitch[self._last_pitch]] = 2 * math.pi - sum(others)
+        return rewrite(self.text, written)
 
 
 def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:

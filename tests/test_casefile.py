@@ -106,6 +106,26 @@ def test_an_immersion_is_not_a_leaf_and_the_edge_it_counts_from_cannot_be_writte
         file.leaf("tool.diameter")
 
 
+def test_numbers_that_would_move_another_one_cannot_be_written():
+    with pytest.raises(mx.CaseError, match=r"another tool\.diameter cannot be written, since cut\.start.*; give cut\.start"):
+        case_file().leaf("tool.diameter")
+    file = case_file(('feed_rate = "4 m/min"', 'feed_per_tooth = "0.1 mm"'))
+    with pytest.raises(mx.CaseError, match=r"another cut\.spindle_speed cannot be written.*; give cut\.feed_rate"):
+        file.leaf("cut.spindle_speed")
+
+
+def test_pitch_angles_stay_a_turn():
+    file = case_file(("teeth = 4", 'teeth = 4\npitch = ["82 deg", "97 deg", "86 deg", "95 deg"]'))
+    again = mx.CaseFile.from_text(file.with_values({"tool.pitch.0": math.radians(84)})).case
+    np.testing.assert_allclose(np.degrees(again.tool.pitch), [84, 97, 86, 93])
+    with pytest.raises(mx.CaseError, match=r"another tool\.pitch\.3 cannot be written, since the last pitch angle is what"):
+        file.leaf("tool.pitch.3")
+    with pytest.raises(mx.CaseError, match=r"tool\.pitch: the angles given sum to 361 deg"):
+        case_file(("teeth = 4", 'teeth = 4\npitch = ["83 deg", "97 deg", "86 deg", "95 deg"]'))
+    with pytest.raises(mx.CaseError, match=r'force\.process_damping: "-1 N/m" given; it must be 0 or greater'):
+        case_file(("kr = 0.3", 'kr = 0.3\nprocess_damping = "-1 N/m"'))
+
+
 def test_a_tool_that_starts_in_the_stock_needs_no_feed():
     case_file(("depth =", "start = [0, 0]\ndepth ="), ('"4 m/min"', "0"))
 
