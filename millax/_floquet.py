@@ -41,35 +41,42 @@ class PeriodicOrbit:
 
 
 @eqx.filter_jit
-def _around(case: Case, borders: tuple[int, ...], z: Orbit | None, direction: Array | None):
-    """A motion z (None: one close to the orbit), what it misses to close, and dG/dz in the Krylov space of a direction
-    (None: of what is missing)."""
+def _close(case: Case, borders: tuple[int, ...]) -> Orbit:
+    return Period.of(steady(case, borders)).under_rigid_force()
+
+
+@eqx.filter_jit
+def _around(case: Case, borders: tuple[int, ...], z: Orbit, direction: Array):
+    """What a motion z misses to close, and dG/dz there in the Krylov space of a direction (0: of what is missing)."""
     period = Period.of(steady(case, borders))
-    at, unravel = ravel_pytree(period.under_rigid_force() if z is None else z)
+    at, unravel = ravel_pytree(z)
     value, linear = jax.linearize(lambda z: ravel_pytree(period(unravel(z)))[0], at)
     missing = at - value
-    basis, h = arnoldi(linear, jnp.asarray(missing if direction is None else direction), SPACE)
-    return unravel(at), missing, basis, h, period.model.feed_per_tooth
+    # A value, not a second program.
+    basis, h = arnoldi(linear, jnp.where(jnp.any(direction != 0), direction, missing), SPACE)
+    return missing, basis, h, period.model.feed_per_tooth
 
 
 def periodic_orbit(case: Case, borders: tuple[int, ...]) -> PeriodicOrbit:
     """The periodic motion of a cut, with the settings of its case."""
-    z, *rest = _around(case, borders, None, None)
+    z = _close(case, borders)
+    at, unravel = ravel_pytree(z)
+    rest = _around(case, borders, z, jnp.zeros_like(at))
     for _ in range(MOST_STEPS):
         missing, basis, h, feed = map(np.asarray, rest)
         if not np.isfinite(h).all() or np.abs(missing).max() < CLOSED * feed:
             break
         # (dG/dz - 1) dz = z - G(z), in the least-squares sense.
         target = np.eye(1, len(h))[0] * np.linalg.norm(missing)
-        change = np.linalg.lstsq(h - np.eye(*h.shape), target)[0] @ basis[:-1]
-        at, unravel = ravel_pytree(z)
-        z, *rest = _around(case, borders, unravel(at + change), None)
+        at = at + np.linalg.lstsq(h - np.eye(*h.shape), target)[0] @ basis[:-1]
+        z = unravel(at)
+        rest = _around(case, borders, z, jnp.zeros_like(at))
     missing, _, h, feed = map(np.asarray, rest)
     if not np.isfinite(h).all():
         return PeriodicOrbit(z, np.inf, complex(np.nan))
     # A direction with a part along every eigenvector, the same in every run.
     direction = np.random.default_rng(0).normal(size=len(missing))
-    h = np.asarray(_around(case, borders, z, jnp.asarray(direction, missing.dtype))[3])
+    h = np.asarray(_around(case, borders, z, jnp.asarray(direction, missing.dtype))[2])
     return PeriodicOrbit(z, float(np.abs(missing).max() / feed), largest(h))
 
 
