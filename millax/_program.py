@@ -158,7 +158,7 @@ def _ended(sim: Simulation, case: Case, periods: Int[Array, ""]) -> Simulation:
     inside = jnp.arange(sim.time.size) < periods * case.settings.steps_per_tooth
     displacement = jnp.where(inside[:, None], sim.displacement, 0.0)
     force = jnp.where(inside[:, None], sim.force, 0.0)
-    status = status_of(force, displacement, sim.residual, case.tool.radius, case.settings.tolerance)
+    status = status_of(case, force, displacement, sim.residual)
 
     def until_the_end(trace):
         return jnp.where(inside.reshape(-1, *[1] * (trace.ndim - 1)), trace, jnp.nan)

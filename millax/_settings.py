@@ -150,10 +150,15 @@ def require_resolved(fastest: float, period: float, steps_per_tooth: int) -> Non
         )
 
 
+def steps_of_lag(tool: EndMill, cut: Cut, steps_per_tooth: int) -> Scalar:
+    """By how many time steps a tooth lags behind its tip at the depth of cut."""
+    return tool.lag(cut.depth) * (tool.teeth * steps_per_tooth / (2 * math.pi))
+
+
 def _slices(tool: EndMill, cut: Cut, steps_per_tooth: int, slices: int | None) -> int:
     """Slices that resolve the helix: with L steps of lag over the whole depth, sqrt(L/0.04) leave less than 0.1 % of the
     force (`make validate`), and no slice may lag by more than a step. Raises `ValueError` where those given are too few."""
-    lag = float(tool.lag(cut.depth)) / (2 * math.pi / (tool.teeth * steps_per_tooth))
+    lag = float(steps_of_lag(tool, cut, steps_per_tooth))
     if slices is None:
         return max(1, math.ceil(math.sqrt(lag / 0.04)), math.ceil(lag))
     if lag > STEPS_PER_SLICE * slices:

@@ -28,7 +28,7 @@ from ._forces import ForceLaw
 from ._gain import RERUNS, gain_of, reachable
 from ._march import Carry, Model, Past, Place, at_rest, felt, march, place_in, process, remembered
 from ._response import block_response
-from ._settings import Settings
+from ._settings import STEPS_PER_SLICE, Settings, steps_of_lag
 from ._stock import Stock
 from ._structure import Structure
 from ._tool import EndMill
@@ -39,6 +39,7 @@ STATUS = {
     1: "the fixed-point sweeps have not converged: give more sweeps, or more blocks per tooth period",
     2: "the tool left its path by more than its radius: the cut is unstable or the structure too soft",
     3: "the traces hold numbers that are not finite: the cut is unstable, or a parameter is out of its range",
+    4: "over the depth the helix wraps by more time steps than the slices resolve: give more of them (simulation.slices)",
 }
 """What each `Simulation.status` means and what to try."""
 
@@ -157,7 +158,7 @@ def _simulate(case: Case) -> Simulation:
         displacement=displacement,
         chip_thickness=_by_tooth(chip) if tool.equal_teeth else _trace(chip),
         residual=residual,
-        status=status_of(largest, moved, residual, tool.radius, settings.tolerance),
+        status=status_of(case, largest, moved, residual),
         axes=structure.axes,
     )
 
@@ -220,12 +221,15 @@ def _map_periods(function, inputs):
     return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:periods], found)
 
 
-def status_of(force, displacement, residual, radius, tolerance) -> Int[Array, ""]:
+def status_of(case: Case, force, displacement, residual) -> Int[Array, ""]:
     """The status of a simulation with these traces, or with their peaks: the most serious that applies."""
+    tool, settings = case.tool, case.settings
     largest, moved = jnp.max(jnp.abs(force)), jnp.max(jnp.abs(displacement), initial=0.0)
     finite = jnp.isfinite(largest) & jnp.isfinite(moved)
-    converged = residual <= reachable(tolerance, force.dtype)
-    return jnp.where(~finite, 3, jnp.where(moved > radius, 2, jnp.where(converged, 0, 1)))
+    converged = residual <= reachable(settings.tolerance, force.dtype)
+    sliced = steps_of_lag(tool, case.cut, settings.steps_per_tooth) <= STEPS_PER_SLICE * settings.slices
+    found = jnp.where(sliced, jnp.where(converged, 0, 1), 4)
+    return jnp.where(~finite, 3, jnp.where(moved > tool.radius, 2, found))
 
 
 @jax.custom_jvp

@@ -214,3 +214,7 @@ def test_runout_beyond_the_feed_is_pointed_out():
 def test_slices_that_do_not_resolve_the_helix_are_refused():
     with pytest.raises(ValueError, match=r"slices: 1 given; .* wraps by 9.5 time steps.*\n?.*Give 5 or more"):
         cut(helix=np.radians(75), settings={"slices": 1})
+    # Where it was made steeper afterwards, the simulation says so.
+    steeper = eqx.tree_at(lambda c: c.tool.helix, cut(helix=0.1), jnp.asarray(np.radians(75)))
+    with pytest.raises(mx.SimulationError, match=r"the helix wraps by more time steps than the slices resolve"):
+        mx.simulate(steeper)
