@@ -31,7 +31,7 @@ class Conditions(NamedTuple):
     depth: Scalar
     """Of a slice [m]."""
     width: Scalar
-    damping: Scalar | None
+    damping: Scalar | None = None
     """Process damping: radial force over the velocity, per unit of depth [N s/m²]; None for none."""
 
 

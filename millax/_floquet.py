@@ -20,7 +20,10 @@ from ._krylov import SPACE, arnoldi, largest
 from ._steady import Orbit, Period, steady, with_cut
 
 MOST_STEPS = 8
-"""Steps of Newton's method. One or two are enough, since along the orbit the force hardly depends on the motion."""
+"""Steps of Newton's method. One to three are enough where no tooth loses contact along the orbit."""
+
+WAY = (0.5, 0.7, 0.85, 0.95, 1.0)
+"""Depths, over that of the cut, at which the orbit is looked for one after the other where it is not found at once."""
 
 CLOSED = 1e-7
 """What may be missing from the orbit to close, over the feed per tooth [-]."""
@@ -42,7 +45,11 @@ class PeriodicOrbit:
 
 @eqx.filter_jit
 def _close(case: Case, borders: tuple[int, ...]) -> Orbit:
-    return Period.of(steady(case, borders)).under_rigid_force()
+    """Where Newton's method starts. Equal teeth feel little of a periodic motion, and the one under the force on a rigid
+    tool is close to the orbit. Unequal teeth feel it, and may lose contact in one that large: from rest the first step leads
+    to the motion of the linearised cut, in which every tooth stays in contact."""
+    period = Period.of(steady(case, borders))
+    return period.under_rigid_force() if period.tooth_periods == 1 else period.at_rest()
 
 
 @eqx.filter_jit
@@ -59,25 +66,37 @@ def _around(case: Case, borders: tuple[int, ...], z: Orbit, direction: Array):
 
 def periodic_orbit(case: Case, borders: tuple[int, ...]) -> PeriodicOrbit:
     """The periodic motion of a cut, with the settings of its case."""
-    z = _close(case, borders)
+    z, missing, feed = _newton(case, borders, _close(case, borders))
+    if not missing < CLOSED * feed:
+        # It may be far from where Newton's method started: followed there from a shallower cut.
+        z = _close(_shallower(case, WAY[0]), borders)
+        for part in WAY:
+            z, missing, feed = _newton(_shallower(case, part), borders, z)
+    if not np.isfinite(missing):
+        return PeriodicOrbit(z, np.inf, complex(np.nan))
+    # A direction with a part along every eigenvector, the same in every run.
+    size = len(ravel_pytree(z)[0])
+    direction = jnp.asarray(np.random.default_rng(0).normal(size=size), feed.dtype)
+    return PeriodicOrbit(z, float(missing / feed), largest(np.asarray(_around(case, borders, z, direction)[2])))
+
+
+def _shallower(case: Case, part: float) -> Case:
+    return eqx.tree_at(lambda c: c.cut.depth, case, case.cut.depth * part)
+
+
+def _newton(case: Case, borders: tuple[int, ...], z: Orbit) -> tuple[Orbit, float, np.ndarray]:
+    """From a motion to the orbit; what is missing there to close [m], and the feed per tooth [m]."""
     at, unravel = ravel_pytree(z)
-    rest = _around(case, borders, z, jnp.zeros_like(at))
-    for _ in range(MOST_STEPS):
-        missing, basis, h, feed = map(np.asarray, rest)
-        if not np.isfinite(h).all() or np.abs(missing).max() < CLOSED * feed:
-            break
+    steps = 0
+    while True:
+        missing, basis, h, feed = map(np.asarray, _around(case, borders, unravel(at), jnp.zeros_like(at)))
+        size = float(np.abs(missing).max()) if np.isfinite(h).all() else np.inf
+        if steps == MOST_STEPS or size < CLOSED * feed or size == np.inf:
+            return unravel(at), size, feed
         # (dG/dz - 1) dz = z - G(z), in the least-squares sense.
         target = np.eye(1, len(h))[0] * np.linalg.norm(missing)
         at = at + np.linalg.lstsq(h - np.eye(*h.shape), target)[0] @ basis[:-1]
-        z = unravel(at)
-        rest = _around(case, borders, z, jnp.zeros_like(at))
-    missing, _, h, feed = map(np.asarray, rest)
-    if not np.isfinite(h).all():
-        return PeriodicOrbit(z, np.inf, complex(np.nan))
-    # A direction with a part along every eigenvector, the same in every run.
-    direction = np.random.default_rng(0).normal(size=len(missing))
-    h = np.asarray(_around(case, borders, z, jnp.asarray(direction, missing.dtype))[2])
-    return PeriodicOrbit(z, float(np.abs(missing).max() / feed), largest(h))
+        steps += 1
 
 
 def leading_multipliers(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarray:
