@@ -41,9 +41,9 @@ class Cut(eqx.Module):
         return Cut(spindle_speed, feed_rate, depth, start=jnp.stack([-tool.radius, jnp.zeros(())]))
 
     def tooth_period(self, tool: EndMill) -> Scalar:
-        """tau = 2 pi/(Omega N_z) [s]: the time between two teeth at the same angle."""
+        """tau = 2 pi/(Omega N_z) [s]: the mean time between two teeth at the same angle."""
         return 2 * jnp.pi / (self.spindle_speed * tool.teeth)
 
     def feed_per_tooth(self, tool: EndMill) -> Scalar:
-        """f_z = v_f tau [m]."""
+        """f_z = v_f tau [m], the mean of all teeth."""
         return self.feed_rate * self.tooth_period(tool)

@@ -173,12 +173,12 @@ def model_of(case: Case) -> Model:
         case.structure, dt, m, forces=2 if law.ka is None else 3, felt=2 if law.process_damping is None else 4
     )
     lead = tool.lead(settings.passes)
-    period = 1 if lead is None else settings.blocks  # see `Model`
+    parts = 1 if lead is None else settings.blocks  # of a tooth period, which the march calls periods: see `Model`
     return Model(
         law=law,
         depth=cut.depth / settings.slices,
         width=settings.width,
-        advance=cut.feed_per_tooth(tool) / period,
+        advance=cut.feed_per_tooth(tool) / parts,
         lag=None if lead is None else lead * steps,
         feed_per_tooth=cut.feed_per_tooth(tool),
         feed_rate=cut.feed_rate,
@@ -188,7 +188,7 @@ def model_of(case: Case) -> Model:
         response=response,
         contraction=lax.stop_gradient(jnp.sum(gain_of(tool, law, cut, settings.width, response.to_one_step()))),
         tolerance=reachable(settings.tolerance, dt.dtype),
-        periods=jnp.asarray(settings.periods * period, dt.dtype),
+        periods=jnp.asarray(settings.periods * parts, dt.dtype),
         steps_per_tooth=steps,
         step_angle=2 * np.pi / (tool.teeth * steps),
     )

@@ -204,13 +204,13 @@ class Period(eqx.Module):
         return self._orbit(end), jnp.moveaxis(displacement, 2, 1).reshape(periods, 2, -1)
 
     def under_rigid_force(self) -> Orbit:
-        """The periodic motion under the force that a tool on its path would meet: close to the orbit."""
+        """The periodic motion under the force that a tool of equal teeth would meet on its path: close to the orbit."""
         model, still = self.model, self.at_rest()
-        blocks, kept, _, m = still.displacement.shape
+        shape = still.displacement.shape
         past = Past(still.displacement[0], still.travel[0])
         zero = jnp.zeros_like(model.depth)
-        places = jax.tree.map(lambda x: x.reshape(x.shape[0] * blocks, *x.shape[2:]), model.place)
-        motionless = jnp.zeros((model.response.felt.free.shape[1] // m, m))
+        places = jax.tree.map(lambda x: x[0], model.place)
+        motionless = jnp.zeros((model.response.felt.free.shape[1] // shape[-1], shape[-1]))
         force, _ = jax.vmap(lambda place: cutting(process(model, place, past, zero), motionless))(places)
 
         def motion(state):
@@ -225,13 +225,7 @@ class Period(eqx.Module):
         free = jax.jacfwd(lambda state: motion(state)[0])(still.state)
         state = jnp.linalg.solve(jnp.eye(n) - free, pushed) if n else still.state
         _, (displacement, velocity) = motion(state)
-
-        def remembered(x):
-            """What is remembered of a motion that has always gone on like this, the newest in front."""
-            newest = x.reshape(-1, blocks, 2, m)[::-1]
-            return jnp.stack([newest[k % len(newest)] for k in range(kept)], axis=1)
-
-        return Orbit(state, remembered(displacement), remembered(velocity * model.dt))
+        return Orbit(state, *(jnp.broadcast_to(x[:, None], shape) for x in (displacement, velocity * model.dt)))
 
     @property
     def _marched(self) -> int:
