@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from millax import STABILITY_METHODS, CaseError, CaseFile, StabilityProgress, stability
 
-from ._output import complain, console, notes, staged
+from ._output import complain, console, staged
 
 AROUND, MANY = (0.5, 1.5), 61
 """Speeds by default: from and to, over that of the case, and how many."""
@@ -44,7 +44,7 @@ def run_stability(
     names = [name.strip() for name in methods.split(",")]
     with staged(out) as folder:
         try:
-            with _progress() as progress, notes():
+            with _progress() as progress:
                 result = stability(file.case, given, depths=depths, methods=names, progress=progress)  # type: ignore[arg-type]
         except CaseError:
             raise

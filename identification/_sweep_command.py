@@ -14,7 +14,7 @@ from millax import STATUS, CaseError, CaseFile, SweepProgress, sample, sweep, us
 from millax._members import FEED_PER_TOOTH
 from millax._sweepfile import whole
 
-from ._output import complain, console, notes
+from ._output import complain, console
 
 if TYPE_CHECKING:
     import xarray
@@ -57,7 +57,7 @@ def run_sweep(
         _hold_feed_per_tooth(file, values)
         kept = None if reduce is None else [name.strip() for name in reduce.split(",")]
         varied = {"samples": values} if samples is not None else {"grid": values}
-        with _client(cluster) as client, _progress() as progress, notes():
+        with _client(cluster) as client, _progress() as progress:
             result = sweep(file.case, **varied, reduce=kept, out=path, overwrite=overwrite, progress=progress, client=client)
     except CaseError:
         raise

@@ -19,11 +19,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from millax import CaseError, SimulationError
 
-    from ._output import complain
+    from ._output import complain, notes
     from ._traces import TraceError
 
     try:
-        return arguments.run(arguments)
+        with notes():
+            return arguments.run(arguments)
     except (CaseError, TraceError) as error:
         complain(str(error))
         return 2

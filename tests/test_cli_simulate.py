@@ -179,3 +179,10 @@ def test_the_command_line_computes_in_double_precision(case_file, tmp_path):
     subprocess.run(command, check=True, capture_output=True, env=environment, cwd=Path(__file__).parents[1])
     time = np.loadtxt(out / "trace.csv", delimiter=",", skiprows=1)[:, 0]
     np.testing.assert_allclose(np.diff(time), 0.06 / 1600, rtol=1e-5)
+
+
+def test_a_warning_is_a_line_for_the_user(tmp_path, capsys):
+    path = tmp_path / "cut.toml"
+    path.write_text(TEXT.replace("teeth = 4", 'teeth = 4\nrunout = ["0 um", "150 um", "0 um", "0 um"]'))
+    assert main(["simulate", str(path), "--out", str(tmp_path / "out")]) == 0
+    assert "note: tool: its teeth differ in radius by 150 µm" in capsys.readouterr().out
