@@ -3,5 +3,6 @@ cutting."""
 
 from . import models
 from ._chain import Frames, Placement, Robot
+from ._load import load_urdf
 
-__all__ = ["Frames", "Placement", "Robot", "models"]
+__all__ = ["Frames", "Placement", "Robot", "load_urdf", "models"]
