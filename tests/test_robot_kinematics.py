@@ -240,8 +240,8 @@ def test_poses_that_can_be_drawn():
 
 
 def test_the_kr270_is_as_stiff_as_its_lengths_say():
-    # Joint compliances and pose of C (Table 1). The stiffness across the arm with the other directions held was computed
-    # independently, 2.68 MN/m and without a_3 2.54: these lengths give the 58.1 µm that C prints within some percent.
+    # Joint compliances and pose of C (Table 1). The stiffness across the arm with the other directions held is the figure of
+    # an earlier, separate calculation; with a_3 = 0 it would be 2.54 MN/m.
     compliance = 1e-6 * np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13])
     jacobian = models.kuka_kr270().jacobian(np.deg2rad([90.0, -50.0, 120.0, 180.0, 25.0, 180.0]))
     stiffness = np.linalg.inv(jacobian @ np.diag(compliance) @ jacobian.T)
@@ -259,6 +259,8 @@ def test_limits():
     inside = np.deg2rad([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
     robot.check(inside)
     robot.check(np.tile(inside, (3, 1)))
+    for limit in (robot.lower, robot.upper):
+        robot.check(np.float32(limit))
     with pytest.raises(
         ValueError, match=r"q: 0 rad \(0 deg\) given for joint_2; .* from -2\.443 rad \(-140 deg\) to -0\.08727"
     ):

@@ -18,6 +18,9 @@ Rows = Float[Array, " n"] | np.ndarray | Sequence[float]
 KINDS = ("revolute", "prismatic")
 """What a joint does along its axis: turn, or slide."""
 
+ROUNDING = 1e-6
+"""By what part of it a limit may be missed: rounding, in a file or in single precision."""
+
 
 def rotation_of(rpy, xp: Any = np):
     """R = Rz(yaw) Ry(pitch) Rx(roll) [-], shape (..., 3, 3), of roll, pitch, yaw [rad], (..., 3); `xp` is NumPy or JAX's."""
@@ -290,7 +293,8 @@ class Robot(eqx.Module):
         unknown = np.full(self.joints, np.inf)
         lower = -unknown if self.lower is None else np.asarray(self.lower)
         upper = unknown if self.upper is None else np.asarray(self.upper)
-        bad = ~(np.isfinite(given) & (given >= lower) & (given <= upper))
+        slack = ROUNDING * np.abs([lower, upper])
+        bad = ~(np.isfinite(given) & (given >= lower - slack[0]) & (given <= upper + slack[1]))
         if bad.any():
             *when, joint = np.argwhere(bad)[0]
             values = given[*when, joint], lower[joint], upper[joint]

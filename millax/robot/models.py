@@ -2,7 +2,8 @@
 
 C = COROUSSO deliverable 1.4 (2013), H = Ha 2019 (inverse dynamics and calibration of cutting force). The joint coordinates
 of the two KUKA arms are those of their controller: at zero the arm is stretched out horizontally along +x, positive
-coordinates turn joint 1 clockwise seen from above and lower the arm at joints 2, 3 and 5.
+coordinates turn joint 1 clockwise seen from above and lower the arm at joints 2, 3 and 5. C does not say how its angles
+count; they are read so.
 """
 
 import numpy as np
