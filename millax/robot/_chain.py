@@ -33,6 +33,19 @@ def rotation_of(rpy, xp: Any = np):
     return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+class Frames(NamedTuple):
+    """Frames in another one, of JAX or of NumPy: axes as the columns of `rotation`, shape (..., 3, 3) [-]; origins
+    `position`, (..., 3) [m]."""
+
+    rotation: Any
+    position: Any
+
+    def then(self, other: "Frames") -> "Frames":
+        """The frames that stand at `other` in these."""
+        moved = self.position + (self.rotation @ other.position[..., None])[..., 0]
+        return Frames(self.rotation @ other.rotation, moved)
+
+
 class Placement(eqx.Module):
     """Where a frame stands in another one: origin p = xyz, axes R = Rz(yaw) Ry(pitch) Rx(roll).
 
@@ -50,17 +63,10 @@ class Placement(eqx.Module):
         """R [-]."""
         return rotation_of(self.rpy, jnp)
 
-
-class Frames(NamedTuple):
-    """Frames of the base: axes as the columns of `rotation`, shape (..., 3, 3) [-]; origins `position`, (..., 3) [m]."""
-
-    rotation: Float[Array, "*n 3 3"]
-    position: Float[Array, "*n 3"]
-
-    def then(self, other: "Frames") -> "Frames":
-        """The frames that stand at `other` in these."""
-        moved = self.position + jnp.einsum("...ij,...j->...i", self.rotation, other.position)
-        return Frames(self.rotation @ other.rotation, moved)
+    @property
+    def frames(self) -> Frames:
+        """R and p."""
+        return Frames(self.rotation, self.xyz)
 
 
 class Robot(eqx.Module):
@@ -224,14 +230,14 @@ class Robot(eqx.Module):
         """Where the links stand at q in the base frame, T_0^1 ... T_0^n: rotations (n, 3, 3) [-] and origins (n, 3) [m]."""
         q = self._coordinates(q) + self.zero
         turn, slide = jnp.where(self._turning, q, 0.0), jnp.where(self._turning, 0.0, q)
-        place = Frames(Placement(self.xyz, self.rpy).rotation, self.xyz)
+        place = Placement(self.xyz, self.rpy).frames
         moved = place.then(Frames(_turned(self._direction, turn), self._direction * slide[:, None]))
 
         def step(before: Frames, one: Frames):
             after = before.then(one)
             return after, after
 
-        return lax.scan(step, Frames(self.base.rotation, self.base.xyz), moved)[1]
+        return lax.scan(step, self.base.frames, moved)[1]
 
     def pose(self, q: Float[Array, " n"]) -> Float[Array, "4 4"]:
         """T_0^n F E, where the tool stands at q in the base frame: a homogeneous matrix, lengths in m."""
@@ -317,7 +323,7 @@ class Robot(eqx.Module):
     def _tool_frame(self, frames: Frames) -> Frames:
         found = Frames(frames.rotation[-1], frames.position[-1])
         for place in (self.flange, self.tool):
-            found = found.then(Frames(place.rotation, place.xyz))
+            found = found.then(place.frames)
         return found
 
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ._chain import Placement, Robot
+from ._chain import Frames, Placement, Robot
 from ._plausible import implausible
-from ._urdf import MOVING, Body, Joint, Rigid, read
+from ._urdf import MOVING, Body, Joint, inverse, read, rpy_of
 
-HERE = Rigid(np.eye(3), np.zeros(3))
+HERE = Frames(np.eye(3), np.zeros(3))
 
 
 def load_urdf(path_or_text: str | Path, base: str | None = None, tip: str | None = None) -> Robot:
@@ -47,17 +47,17 @@ def load_urdf(path_or_text: str | Path, base: str | None = None, tip: str | None
     tip = _leaf(links, joints, leader) if tip is None else tip
     chain = _path(base, tip, carrier, leader)
     _warn_of_branches(chain, joints, leader)
-    before = [place[base].inverse.then(place[chain[0].parent]), *(place[joint.parent] for joint in chain[1:])]
+    before = [inverse(place[base]).then(place[chain[0].parent]), *(place[joint.parent] for joint in chain[1:])]
     origins = [rigid.then(joint.place) for rigid, joint in zip(before, chain, strict=True)]
     mass, centre, inertia = _inertial(links, [joint.child for joint in chain], leader, place)
     robot = Robot(
         names=tuple(joint.name for joint in chain),
         kinds=tuple("prismatic" if joint.type == "prismatic" else "revolute" for joint in chain),
         xyz=np.array([origin.position for origin in origins]),
-        rpy=np.array([origin.rpy for origin in origins]),
+        rpy=np.array([rpy_of(origin.rotation) for origin in origins]),
         axis=np.array([joint.axis for joint in chain]),
         zero=np.zeros(len(chain)),
-        flange=Placement(place[tip].position, place[tip].rpy),
+        flange=Placement(place[tip].position, rpy_of(place[tip].rotation)),
         lower=np.array([joint.lower for joint in chain]),
         upper=np.array([joint.upper for joint in chain]),
         mass=mass,
@@ -85,7 +85,7 @@ def _path(base: str, tip: str, carrier: dict[str, Joint], leader: dict[str, str]
     return chain
 
 
-def _rigid_groups(links, carrier: dict[str, Joint]) -> tuple[dict[str, str], dict[str, Rigid]]:
+def _rigid_groups(links, carrier: dict[str, Joint]) -> tuple[dict[str, str], dict[str, Frames]]:
     """Of each link the one nearest to the root among those it is fixed to, and where it stands in that one's frame."""
     leader, place = {}, {}
     for name in links:

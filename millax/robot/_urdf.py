@@ -10,33 +10,23 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from ._chain import rotation_of
+from ._chain import Frames, rotation_of
 
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed")
 
 
-class Rigid(NamedTuple):
-    """A rotation (3, 3) and a position (3,) [m], of NumPy: a placement while a file is read."""
+def inverse(place: Frames) -> Frames:
+    """Where a frame stands in the one that stands at `place` in it."""
+    return Frames(place.rotation.T, -place.rotation.T @ place.position)
 
-    rotation: np.ndarray
-    position: np.ndarray
 
-    def then(self, other: "Rigid") -> "Rigid":
-        return Rigid(self.rotation @ other.rotation, self.position + self.rotation @ other.position)
-
-    @property
-    def inverse(self) -> "Rigid":
-        return Rigid(self.rotation.T, -self.rotation.T @ self.position)
-
-    @property
-    def rpy(self) -> np.ndarray:
-        """Roll, pitch, yaw [rad]. The roll is what is left after the other two, so that where the pitch is a right angle and
-        yaw is anything, the three still are the rotation."""
-        r = self.rotation
-        yaw, pitch = np.arctan2(r[1, 0], r[0, 0]), np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
-        s, c = np.sin(yaw), np.cos(yaw)
-        return np.array([np.arctan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1]), pitch, yaw])
+def rpy_of(r: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw [rad] of a rotation. The roll is what is left after the other two, so that where the pitch is a right
+    angle and yaw is anything, the three still are the rotation."""
+    yaw, pitch = np.arctan2(r[1, 0], r[0, 0]), np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
+    s, c = np.sin(yaw), np.cos(yaw)
+    return np.array([np.arctan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1]), pitch, yaw])
 
 
 class Body(NamedTuple):
@@ -46,7 +36,7 @@ class Body(NamedTuple):
     centre: np.ndarray
     inertia: np.ndarray | None
 
-    def at(self, place: Rigid) -> "Body":
+    def at(self, place: Frames) -> "Body":
         """The same in the frame in which its link stands at `place`."""
         r = place.rotation
         return Body(self.mass, place.position + r @ self.centre, None if self.inertia is None else r @ self.inertia @ r.T)
@@ -74,7 +64,7 @@ class Joint:
     type: str
     parent: str
     child: str
-    place: Rigid
+    place: Frames
     axis: np.ndarray
     lower: float
     upper: float
@@ -146,10 +136,10 @@ def _numbers(element: Element | None, key: str, default: str, where: str) -> np.
     return found
 
 
-def _place(element: Element, where: str) -> Rigid:
+def _place(element: Element, where: str) -> Frames:
     origin = element.find("origin")
     xyz, rpy = (_numbers(origin, key, "0 0 0", f"{where}, origin") for key in ("xyz", "rpy"))
-    return Rigid(rotation_of(rpy), xyz)
+    return Frames(rotation_of(rpy), xyz)
 
 
 def _body(element: Element, name: str) -> Body | None:
