@@ -6,8 +6,6 @@ march gives: in the Krylov space of a vector, spanned by Arnoldi's method, Newto
 multipliers are found. No matrix is larger than that space.
 """
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,20 +25,6 @@ WAY = (0.5, 0.7, 0.85, 0.95, 1.0)
 
 CLOSED = 1e-7
 """What may be missing from the orbit to close, over the feed per tooth [-]."""
-
-
-@dataclass(frozen=True)
-class PeriodicOrbit:
-    """A periodic motion of the engine, stable or not.
-
-    - `start`: what it leaves to the next period.
-    - `residual`: by how much it does not close, over the feed per tooth [-].
-    - `multiplier`: the largest Floquet multiplier around it; NaN where its iteration has not converged.
-    """
-
-    start: Orbit
-    residual: float
-    multiplier: complex
 
 
 @eqx.filter_jit
@@ -64,20 +48,16 @@ def _around(case: Case, borders: tuple[int, ...], z: Orbit, direction: Array):
     return missing, basis, h, period.model.feed_per_tooth
 
 
-def periodic_orbit(case: Case, borders: tuple[int, ...]) -> PeriodicOrbit:
-    """The periodic motion of a cut, with the settings of its case."""
+def periodic_orbit(case: Case, borders: tuple[int, ...]) -> tuple[Orbit, float]:
+    """The periodic motion of a cut, stable or not, with the settings of its case: what it leaves to the next period, and by
+    how much it does not close, over the feed per tooth [-]."""
     z, missing, feed = _newton(case, borders, _close(case, borders))
     if not missing < CLOSED * feed:
         # It may be far from where Newton's method started: followed there from a shallower cut.
         z = _close(_shallower(case, WAY[0]), borders)
         for part in WAY:
             z, missing, feed = _newton(_shallower(case, part), borders, z)
-    if not np.isfinite(missing):
-        return PeriodicOrbit(z, np.inf, complex(np.nan))
-    # A direction with a part along every eigenvector, the same in every run.
-    size = len(ravel_pytree(z)[0])
-    direction = jnp.asarray(np.random.default_rng(0).normal(size=size), feed.dtype)
-    return PeriodicOrbit(z, float(missing / feed), largest(np.asarray(_around(case, borders, z, direction)[2])))
+    return z, float(missing / feed)
 
 
 def _shallower(case: Case, part: float) -> Case:
@@ -104,5 +84,14 @@ def leading_multipliers(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarra
 
     The settings of the case count. NaN where no orbit is found, or its multipliers have not converged.
     """
-    orbits = [periodic_orbit(with_cut(case, *cut), borders) for cut in zip(*cuts, strict=True)]
-    return np.array([o.multiplier if o.residual < CLOSED else complex(np.nan) for o in orbits])
+    return np.array([_leading(with_cut(case, *cut), borders) for cut in zip(*cuts, strict=True)])
+
+
+def _leading(case: Case, borders: tuple[int, ...]) -> complex:
+    z, residual = periodic_orbit(case, borders)
+    if not residual < CLOSED:
+        return complex(np.nan)
+    at, _ = ravel_pytree(z)
+    # A direction with a part along every eigenvector, the same in every run.
+    direction = jnp.asarray(np.random.default_rng(0).normal(size=len(at)), at.dtype)
+    return largest(np.asarray(_around(case, borders, z, direction)[2]))

@@ -73,5 +73,5 @@ def _growth(case: Case, cuts, count, borders: tuple[int, ...]) -> Float[Array, "
 
 def growths(case: Case, cuts, borders: tuple[int, ...]) -> np.ndarray:
     """`growth` of cuts: speeds [rad/s], feed rates [m/s] and depths [m], three arrays of shape (n,). The settings count."""
-    starts = [ravel_pytree(periodic_orbit(with_cut(case, *cut), borders).start)[0] for cut in zip(*cuts, strict=True)]
+    starts = [ravel_pytree(periodic_orbit(with_cut(case, *cut), borders)[0])[0] for cut in zip(*cuts, strict=True)]
     return one_by_one(lambda cuts, count: _growth(case, cuts, count, borders), (*cuts, np.array(starts)))

@@ -57,8 +57,8 @@ class Model(NamedTuple):
     width: Scalar
     advance: Scalar
     """Feed in a period [m]."""
-    lag: Float[Array, "passes teeth"] | None
-    """By how many time steps each tooth comes after those of the earlier passes, where they are not equally spaced."""
+    lead: Float[Array, "passes teeth"] | None
+    """See `Commanded`."""
     feed_per_tooth: Scalar
     feed_rate: Scalar
     tip_speed: Scalar
@@ -122,7 +122,7 @@ def at_rest(model: Model, passes: int) -> Carry:
     """The tool before the first period."""
     turn, blocks, _, teeth, m = model.place.slices.angles.cos.shape
     # Teeth that are not equally spaced look back to a time between the samples; that many passes take so many turns at most.
-    kept = passes if model.lag is None else -(-passes // teeth) * turn
+    kept = passes if model.lead is None else -(-passes // teeth) * turn
     still = jnp.zeros((blocks, kept, 2, m))
     none = tuple(jnp.zeros((blocks, m)) for _ in model.response.motion.by)
     zero = jnp.zeros_like(model.contraction)
@@ -153,7 +153,7 @@ def process(model: Model, place: Place, past: Past, period: Scalar) -> Process:
 
 def surroundings(model: Model, place: Place, period: Scalar) -> Others:
     """What the force depends on beside the present and the earlier displacement of the tool."""
-    lead = None if model.lag is None else model.lag[..., None] / model.steps_per_tooth
+    lead = None if model.lead is None else model.lead[..., None]
     commanded = Commanded(model.feed_per_tooth, model.feed_rate, model.tip_speed, model.radius, lead)
     slices = place.slices._replace(borders=place.slices.borders.moved(period * model.advance))
     damping = None if model.law.process_damping is None else model.law.process_damping / model.tip_speed
@@ -162,7 +162,7 @@ def surroundings(model: Model, place: Place, period: Scalar) -> Others:
 
 def met_motions(model: Model, past: Past) -> Past:
     """Of the remembered motions those that count in a block: in the steps in which the surfaces were left that it meets."""
-    return past if model.lag is None else Past(*earlier_motion(*past, model.lag, model.dt))
+    return past if model.lead is None else Past(*earlier_motion(*past, model.lead * model.steps_per_tooth, model.dt))
 
 
 def place_in(period: Scalar, places: Place) -> Place:
@@ -238,7 +238,7 @@ def _stretch_jvp(primals, tangents, *, sweeps):
 
     def met_changes(past, change):
         """Of the motions that count in a block, by that of the remembered ones."""
-        return change if model.lag is None else eqx.filter_jvp(met_motions, (model, past), (by_model, change))[1]
+        return change if model.lead is None else eqx.filter_jvp(met_motions, (model, past), (by_model, change))[1]
 
     # How the motion changes at a known state and force. The large matrices of long blocks are better multiplied by all at
     # once.
@@ -265,7 +265,7 @@ def _stretch_jvp(primals, tangents, *, sweeps):
         past, motion, known, period = inputs
         place, by_place = place_in(period, model.place), place_in(period, by_model.place)
         by = jax.vmap(linearised, (0, 0, 0, 0, None))(place, by_place, past, motion, period)
-        needed = None if model.lag is None else past
+        needed = None if model.lead is None else past
         (state, _), traces = lax.scan(block, (state, period), (by, needed, by_past, known, place, by_place))
         return (state, _shifted(by_past, traces[2])), traces
 
@@ -306,7 +306,7 @@ def _shifted(past: Past, motion: Past) -> Past:
 def _within_reach(model: Model, place: Place, travelled, displacement) -> tuple[Array, Bool[Array, ""], Bool[Array, ""]]:
     """Where no tooth meets a border, which ones are inside all borders, shape (slices, teeth, 1); whether one may meet the
     stock at all, and whether one may meet a border: judged from earlier displacements."""
-    longest = 1.0 if model.lag is None else jnp.max(model.lag[0]) / model.steps_per_tooth
+    longest = 1.0 if model.lead is None else jnp.max(model.lead[0])
     feed = model.feed_per_tooth * longest
     place, travelled, feed, displacement = lax.stop_gradient((place, travelled, feed, displacement))
     newest = displacement[0]

@@ -49,6 +49,11 @@ class BlockResponse(NamedTuple):
     axes: Motion
     """Position along the axes of the structure, axes by steps [m]."""
 
+    @property
+    def feels(self) -> int:
+        """How many motions the force feels: 2 or 4."""
+        return self.felt.free.shape[1] // len(self.felt.by[0])
+
     def to_one_step(self) -> Float[Array, "2 felt m"]:
         """As `response_to_one_step`."""
         return jnp.stack([self._by_steps(by[0]) for by in self.felt.by[:2]])

@@ -105,7 +105,7 @@ class Settings(eqx.Module):
         """
         positive("simulation.duration", duration, "s")
         if steps_per_tooth is None:
-            steps_per_tooth = STEPS if tool.deviation(jnp.zeros(1)) is None else STEPS_WITH_RUNOUT
+            steps_per_tooth = STEPS if tool.equal_radii else STEPS_WITH_RUNOUT
         period = float(cut.tooth_period(tool))
         periods = math.ceil(float(duration) / period * (1 - 1e-12))
         if periods * steps_per_tooth > MOST_STEPS:

@@ -179,7 +179,7 @@ def model_of(case: Case) -> Model:
         depth=cut.depth / settings.slices,
         width=settings.width,
         advance=cut.feed_per_tooth(tool) / parts,
-        lag=None if lead is None else lead * steps,
+        lead=lead,
         feed_per_tooth=cut.feed_per_tooth(tool),
         feed_rate=cut.feed_rate,
         tip_speed=cut.spindle_speed * tool.radius,

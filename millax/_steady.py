@@ -135,13 +135,12 @@ def process_matrices(case: Case, steps: int) -> ProcessMatrices:
 
     Teeth of equal radii feel only the last pass; others as many as the settings of the case remember.
     """
-    equal_radii = case.tool.deviation(jnp.zeros(1)) is None
-    passes = 1 if equal_radii else case.settings.passes
+    passes = 1 if case.tool.equal_radii else case.settings.passes
     model = model_of(case.with_settings(steps_per_tooth=steps, blocks=1, passes=passes))
     teeth = case.tool.teeth
-    shape = (passes, 2, steps) if model.lag is None else (passes, 2, teeth, steps)
+    shape = (passes, 2, steps) if model.lead is None else (passes, 2, teeth, steps)
     earlier = int(np.prod(shape[:-1]))
-    felt = model.response.felt.free.shape[1] // steps
+    felt = model.response.feels
 
     def force(place, motions):
         now, past, rate = motions[:felt], motions[felt : felt + earlier], motions[felt + earlier :]
@@ -166,8 +165,8 @@ def process_matrices(case: Case, steps: int) -> ProcessMatrices:
         split = matrices.reshape(*matrices.shape[:2], passes, 2, -1)
         return jnp.moveaxis(split, (2, 4, 3), (0, 1, 4)).reshape(-1, len(by), 2, 2)
 
-    lags = np.arange(1.0, passes + 1) * steps if model.lag is None else model.lag.ravel()
-    longest = passes * steps if model.lag is None else -(-passes // teeth) * teeth * steps
+    lags = np.arange(1.0, passes + 1) * steps if model.lead is None else model.lead.ravel() * steps
+    longest = passes * steps if model.lead is None else -(-passes // teeth) * teeth * steps
     now_rate = now[..., 2:] if felt == 4 else jnp.zeros_like(now)
     return ProcessMatrices(now[..., :2], now_rate, by_delay(past), by_delay(rate), lags, float(longest))
 
@@ -210,7 +209,7 @@ class Period(eqx.Module):
         past = Past(still.displacement[0], still.travel[0])
         zero = jnp.zeros_like(model.depth)
         places = jax.tree.map(lambda x: x[0], model.place)
-        motionless = jnp.zeros((model.response.felt.free.shape[1] // shape[-1], shape[-1]))
+        motionless = jnp.zeros((model.response.feels, shape[-1]))
         force, _ = jax.vmap(lambda place: cutting(process(model, place, past, zero), motionless))(places)
 
         def motion(state):

@@ -93,7 +93,12 @@ class EndMill(eqx.Module):
     @property
     def equal_teeth(self) -> bool:
         """Whether all teeth are alike, so that every tooth period is like the one before."""
-        return self.pitch is None and self.runout is None and self.offset is None
+        return self.pitch is None and self.equal_radii
+
+    @property
+    def equal_radii(self) -> bool:
+        """Whether all teeth reach equally far."""
+        return self.runout is None and self.offset is None
 
     @property
     def spacing(self) -> Any:
@@ -123,7 +128,7 @@ class EndMill(eqx.Module):
 
     def deviation(self, lag: Float[Array, "..."]) -> Float[Array, "... teeth"] | None:
         """R_i - R [m] where a tooth stands `lag` [rad] behind its tip, None for equal teeth."""
-        if self.runout is None and self.offset is None:
+        if self.equal_radii:
             return None
         found = jnp.zeros((*jnp.shape(lag), self.teeth))
         if self.runout is not None:
