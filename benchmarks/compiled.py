@@ -44,7 +44,7 @@ def have_compiler() -> bool:
 def same_model(case: mx.Case, tolerance: float = TOLERANCE) -> Callable[[], Traces]:
     """The model of `case`, ready to run. Any structure that moves in the plane, any stock, a fractional law."""
     s, law, cut = case.settings, _fractional(case), case.cut
-    n, borders, states = s.steps_per_tooth, len(case.stock.offsets), 2 * case.structure.coordinates
+    n, borders, states = s.steps_per_tooth, len(case.stock.offsets), 2 * case.at_tool.coordinates
     sizes = {"STEPS_PER_TOOTH": n, "TEETH": case.tool.teeth, "PASSES": s.passes, "BORDERS": borders, "STATES": states}
     function = _library("same_model.c", tuple(sizes.items())).same_model
     function.restype = ctypes.c_double
@@ -97,13 +97,13 @@ def time_step(case: mx.Case) -> float:
 
 def observed(case: mx.Case) -> np.ndarray:
     """(x, y, vx, vy) of the tool from the state (q, q')."""
-    shapes = np.asarray(case.structure.in_plane_shapes)
+    shapes = np.asarray(case.at_tool.in_plane_shapes)
     return np.block([[shapes, np.zeros_like(shapes)], [np.zeros_like(shapes), shapes]])
 
 
 def discrete(case: mx.Case, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition of the state (q, q') over `duration`, and its response to a constant force in the plane."""
-    s = case.structure
+    s = case.at_tool
     n = s.coordinates
     mass, damping, stiffness = (np.asarray(m) for m in (s.mass_matrix, s.damping_matrix, s.stiffness_matrix))
     rates = np.zeros((2 * n + 2, 2 * n + 2))

@@ -61,8 +61,8 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
     simulation or ends after it.
     """
     for channel in trace.channels:
-        if channel in AXES and channel not in case.structure.axes:
-            moves = f"only along {', '.join(case.structure.axes)}" if case.structure.axes else "not at all: it is rigid"
+        if channel in AXES and channel not in case.at_tool.axes:
+            moves = f"only along {', '.join(case.at_tool.axes)}" if case.at_tool.axes else "not at all: it is rigid"
             raise TraceError(
                 f"{trace.name}: channel {channel}: the structure of the case moves {moves}. Leave the channel out, or "
                 "add the axis to the structure"

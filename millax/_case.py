@@ -10,21 +10,33 @@ from ._settings import Settings
 from ._stock import Stock
 from ._structure import Structure
 from ._tool import EndMill
+from .robot import Arm
 
 
 class Case(eqx.Module):
     """Tool, force law, cut, stock, structure and settings.
 
     Every physical number is a leaf, under the name it has in a case file: `case.force.k0`, `case.cut.depth`,
-    `case.structure.stiffness`. Change one with `equinox.tree_at`.
+    `case.structure.stiffness`, and where a robot holds the tool `case.robot.compliance`. Change one with
+    `equinox.tree_at`.
     """
 
     tool: EndMill
     force: ForceLaw
     cut: Cut
     stock: Stock
-    structure: Structure
+    structure: Structure | Arm
     settings: Settings
+
+    @property
+    def robot(self) -> Arm | None:
+        """The robot that holds the tool, if one does."""
+        return self.structure if isinstance(self.structure, Arm) else None
+
+    @property
+    def at_tool(self) -> Structure:
+        """The mass-spring-damper that the tool feels: the structure, or what follows from the robot."""
+        return self.structure.structure() if isinstance(self.structure, Arm) else self.structure
 
     def with_settings(self, **changes) -> "Case":
         """The same case with other settings, by their names."""

@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from ._case import Case
-from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Section
+from ._casekeys import FORCE, LAWS, MODELS, OTHER_TABLES, SECTIONS, Section, table_of
 from ._caseleaves import Leaf, leaves, rewrite
 from ._cut import Cut
 from ._settings import Settings
@@ -20,6 +20,7 @@ from ._stock import Stock, passage
 from ._structure import Structure
 from ._tool import EndMill
 from ._units import EXPONENT, show
+from .robot import Arm, Loads, Robot, Spindle, load_urdf
 
 
 class CaseError(ValueError):
@@ -141,21 +142,54 @@ def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:
 
 def _case(tables: Mapping[str, Any], source: str) -> Case:
     try:
-        return _build({name: _read(name, section, tables.get(name)) for name, section in _sections(tables).items()})
+        values = {name: _read(name, section, table_of(tables, name)) for name, section in _sections(tables).items()}
+        return _build(values, Path(source).parent)
     except ValueError as error:
         raise CaseError(f"{source}: {error}") from error
 
 
-def _build(values: Mapping[str, dict[str, Any]]) -> Case:
+def _build(values: Mapping[str, dict[str, Any]], folder: Path) -> Case:
     tool = EndMill(**values["tool"])
     force = dict(values["force"])
     law = LAWS[force.pop("law")](**force)
     cut = _cut(tool, **values["cut"])
     structure = Structure(**values["structure"]) if values["structure"] else Structure.rigid()
-    settings = Settings.suited(tool, law, structure, cut, **values["simulation"])
+    if values["robot"]:
+        if values["structure"]:
+            raise ValueError("[structure] and [robot] given; each says what holds the tool. Give one of them")
+        structure = _arm(folder, values["robot"], values["robot.tool"], values["robot.loads"])
+    at_tool = structure.structure() if isinstance(structure, Arm) else structure
+    settings = Settings.suited(tool, law, at_tool, cut, **values["simulation"])
     case = Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
     _require_met(case)
     return case
+
+
+def _arm(folder: Path, given: dict[str, Any], tool: dict[str, Any], loads: dict[str, Any]) -> Arm:
+    given = dict(given)
+    model, urdf, dh = (given.pop(key, None) for key in ("model", "urdf", "dh"))
+    mass, thickness = (given.pop(key, None) for key in ("link_mass", "link_thickness"))
+    if model is not None:
+        robot = MODELS[model]()
+    elif urdf is not None:
+        try:
+            robot = load_urdf(folder / urdf)
+        except OSError as error:
+            raise ValueError(f"robot.urdf: {show(urdf)} cannot be read: {error.strerror}") from None
+    else:
+        robot = Robot.from_dh(**dh)
+    for key in ("joints", "compliance"):
+        if len(given[key]) != robot.joints:
+            raise ValueError(f"robot.{key}: {len(given[key])} numbers given; the robot has {robot.joints} joints")
+    if (mass is None) != (thickness is None):
+        raise ValueError("robot: give link_mass and link_thickness together, for links as rods, or neither")
+    if mass is not None:
+        if len(mass) != robot.joints:
+            raise ValueError(f"robot.link_mass: {len(mass)} numbers given; the robot has {robot.joints} links")
+        robot = robot.with_rods(thickness, mass)
+    arm = Arm(robot, **given, tool=Spindle(**tool) if tool else None, loads=Loads(**loads) if loads else None)
+    arm.check()
+    return arm
 
 
 def _cut(tool: EndMill, spindle_speed, depth, feed_rate=None, feed_per_tooth=None, start=None) -> Cut:
@@ -214,16 +248,16 @@ def _mm(length) -> str:
 
 def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
     """The tables that this file may hold, [force] with the keys of its law. Raises `ValueError`."""
-    for name, table in tables.items():
+    for name in tables:
         if name in OTHER_TABLES:
             continue
         if name not in SECTIONS:
             hint = _owner(name) or _nearest(name, SECTIONS)
             raise ValueError(f"[{name}] is not a table of a case file.{hint}\n  Tables: {', '.join(SECTIONS)}")
-        if not isinstance(table, Mapping):
-            raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
     if "force" not in tables:
         return SECTIONS
+    if not isinstance(tables["force"], Mapping):
+        raise ValueError(f"force: {show(tables['force'])} given; it must be a table, [force]")
     if "law" not in tables["force"]:
         raise ValueError(f"force.law is missing.\n  [force] takes: {SECTIONS['force']} and the keys of the law")
     law = SECTIONS["force"].keys["law"].read("force.law", tables["force"]["law"], tables["force"])
@@ -233,21 +267,30 @@ def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
 def _read(name: str, section: Section, table: Mapping[str, Any] | None) -> dict[str, Any]:
     """The values of the table called `name`, in SI. Raises `ValueError`."""
     takes = f"\n  [{name}] takes: {section}"
+    if table is not None and not isinstance(table, Mapping):
+        raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
     if table is None:
         if section.required:
             raise ValueError(f"the table [{name}] is missing.{takes}")
         return {}
     for key in table:
-        if key not in section.keys:
-            hint = _owner(key) or _nearest(key, section.keys)
+        if key not in section.keys and f"{name}.{key}" not in SECTIONS:
+            hint = _owner(key) or _nearest(key, [*section.keys, *_inner(name)])
             raise ValueError(f"{name}.{key} is not a key of [{name}].{hint}{takes}")
     for key, kind in section.keys.items():
         if kind.required and key not in table:
             raise ValueError(f"{name}.{key} is missing.{takes}")
-    if section.exactly_one and sum(key in table for key in section.exactly_one) != 1:
-        keys = " or ".join(f"{name}.{key}" for key in section.exactly_one)
-        raise ValueError(f"give {keys}: one of them, and only one.{takes}")
-    return {key: section.keys[key].read(f"{name}.{key}", value, table) for key, value in table.items()}
+    for group in section.exactly_one:
+        if sum(key in table for key in group) != 1:
+            raise ValueError(f"give {' or '.join(f'{name}.{key}' for key in group)}: one of them, and only one.{takes}")
+    return {
+        key: section.keys[key].read(f"{name}.{key}", value, table) for key, value in table.items() if key in section.keys
+    }
+
+
+def _inner(name: str) -> list[str]:
+    """The tables in the table of this name."""
+    return [section.rpartition(".")[2] for section in SECTIONS if section.rpartition(".")[0] == name]
 
 
 def _nearest(word: str, words: Iterable[str]) -> str:

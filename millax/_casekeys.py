@@ -4,7 +4,7 @@ A key is a `Quantity`, a whole number or a choice; each knows how to read its va
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +14,7 @@ from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
 from ._tool import STEEPEST
 from ._types import AXES
 from ._units import EXPONENT, parse, show
+from .robot import Robot, models
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ _SHAPES = {
     "point": (lambda v: v.shape == (2,), "a list of two numbers"),
     "interval": (lambda v: v.shape == (2,) and v[0] < v[1], "a list of two numbers, the smaller first"),
     "list": (lambda v: v.ndim == 1, "a list with one number per tooth"),
+    "joints": (lambda v: v.ndim == 1, "a list with one number per joint"),
+    "modes": (lambda v: v.shape in ((), (6,)), "one number, or a list of six, one per mode"),
+    "vector": (lambda v: v.shape == (3,), "a list of three numbers"),
     "array": (lambda v: v.ndim <= 2, "one number, a list with one per coordinate, or a matrix as a list of rows"),
     "matrix": (lambda v: v.ndim == 2, "a matrix as a list of rows"),
 }
@@ -130,22 +134,63 @@ class Choice:
         return f"[{'list of ' if self.several else ''}{' | '.join(self.options)}]"
 
 
-Key = Quantity | Whole | Choice
+@dataclass(frozen=True)
+class File:
+    """The name of a file, from the folder of the case file on."""
+
+    required: bool = True
+    parameter: bool = field(default=False, init=False)
+
+    def read(self, name: str, value: Any, table: Mapping[str, Any]) -> str:
+        """`value`. Raises `ValueError`."""
+        if not isinstance(value, str) or not value:
+            raise ValueError(f"{name}: {show(value)} given; it must be the name of a file")
+        return value
+
+    def __str__(self):
+        return "[file]"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A list of rows, each of quantities with these units in this order."""
+
+    columns: Mapping[str, str]
+    required: bool = True
+    parameter: bool = field(default=False, init=False)
+
+    def read(self, name: str, value: Any, table: Mapping[str, Any]) -> dict[str, list[float]]:
+        """The columns of `value` by their names, in SI. Raises `ValueError`."""
+        words = f"a list of rows {self}"
+        if not isinstance(value, list) or not value:
+            raise ValueError(f"{name}: {show(value)} given; it must be {words}")
+        columns: dict[str, list[float]] = {column: [] for column in self.columns}
+        for i, row in enumerate(value):
+            if not isinstance(row, list) or len(row) != len(self.columns):
+                raise ValueError(f"{name}[{i}]: {show(row)} given; it must be one row of {words}")
+            for (column, unit), item in zip(self.columns.items(), row, strict=True):
+                columns[column].append(parse(f"{name}[{i}], {column}", item, unit))
+        return columns
+
+    def __str__(self):
+        return "[" + ", ".join(f"{column} {unit}" for column, unit in self.columns.items()) + "]"
+
+
+Key = Quantity | Whole | Choice | File | Rows
 
 
 @dataclass(frozen=True)
 class Section:
-    """A table of the case file: its keys, and keys of which exactly one must be given."""
+    """A table of the case file: its keys, and groups of keys of which exactly one must be given."""
 
     keys: Mapping[str, Key]
-    exactly_one: tuple[str, ...] = ()
+    exactly_one: tuple[tuple[str, ...], ...] = ()
     required: bool = True
 
     def __str__(self):
         """The keys with their units; a star marks those that must be given."""
         words = [f"{key}{'*' if kind.required else ''} {kind}" for key, kind in self.keys.items()]
-        if self.exactly_one:
-            words.append(f"one of {' and '.join(self.exactly_one)}*")
+        words += [f"one of {' and '.join(group)}*" for group in self.exactly_one]
         return ", ".join(words) + "  (* must be given)"
 
 
@@ -154,6 +199,12 @@ def _force(**keys: Key) -> Section:
 
 
 LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear": LinearLaw, "exponential": ExponentialLaw}
+
+MODELS: dict[str, Callable[[], Robot]] = {
+    model.__name__: model
+    for model in (models.kuka_kr270, models.kuka_kr210_r2700_2, models.abb_irb6660, models.abb_irb6660_ha)
+}
+"""Built-in robots by name."""
 
 PROCESS_DAMPING = Quantity("N/m", NOT_NEGATIVE, required=False)
 
@@ -207,7 +258,7 @@ SECTIONS: dict[str, Section] = {
             "depth": Quantity("m", POSITIVE),
             "start": Quantity("m", shape="point", required=False),
         },
-        exactly_one=("feed_rate", "feed_per_tooth"),
+        exactly_one=(("feed_rate", "feed_per_tooth"),),
     ),
     "stock": Section(
         {
@@ -228,7 +279,42 @@ SECTIONS: dict[str, Section] = {
             "damping": Quantity("N s/m", NOT_NEGATIVE, "array", required=False),
             "mode_shapes": Quantity("", ANY, "matrix", required=False),
         },
-        exactly_one=("damping_ratio", "damping"),
+        exactly_one=(("damping_ratio", "damping"),),
+        required=False,
+    ),
+    "robot": Section(
+        {
+            "model": Choice(tuple(MODELS), required=False),
+            "urdf": File(required=False),
+            "dh": Rows({"a": "m", "alpha": "rad", "d": "m", "theta": "rad"}, required=False),
+            "joints": Quantity("rad", ANY, "joints"),
+            "compliance": Quantity("rad/(N m)", POSITIVE, "joints"),
+            "damping_ratio": Quantity("", NOT_NEGATIVE, "modes", required=False),
+            "damping": Quantity("N m s/rad", NOT_NEGATIVE, "joints", required=False),
+            "feed_angle": Quantity("rad", required=False),
+            # Not leaves: inertia follows from them, and what replaces that of the model.
+            "link_mass": Quantity("kg", POSITIVE, "joints", required=False, parameter=False),
+            "link_thickness": Quantity("m", POSITIVE, required=False, parameter=False),
+        },
+        exactly_one=(("model", "urdf", "dh"), ("damping_ratio", "damping")),
+        required=False,
+    ),
+    "robot.tool": Section(
+        {
+            "xyz": Quantity("m", ANY, "vector", required=False),
+            "rpy": Quantity("rad", ANY, "vector", required=False),
+            "mass": Quantity("kg", NOT_NEGATIVE, required=False),
+            "centre_of_mass": Quantity("m", ANY, "vector", required=False),
+            "inertia": Quantity("kg m^2", ANY, "matrix", required=False),
+        },
+        required=False,
+    ),
+    "robot.loads": Section(
+        {
+            "force": Quantity("N", ANY, "vector", required=False),
+            "moment": Quantity("N m", ANY, "vector", required=False),
+            "gravity": Quantity("m/s^2", ANY, "vector", required=False),
+        },
         required=False,
     ),
     "simulation": Section(
@@ -244,7 +330,17 @@ SECTIONS: dict[str, Section] = {
         }
     ),
 }
-"""Every table of a case file. The keys of [force] are those of its law, in `FORCE`."""
+"""Every table of a case file; "robot.tool" is the table [robot.tool] in [robot]. The keys of [force] are those of its law,
+in `FORCE`."""
+
+
+def table_of(tables: Mapping[str, Any], section: str) -> Any:
+    """The table of this name, None where there is none."""
+    found: Any = tables
+    for name in section.split("."):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found
+
 
 OTHER_TABLES = ("fit", "trace")
 """Tables that a case file may hold for the package `identification`, which reads and checks them."""

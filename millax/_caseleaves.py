@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ._casekeys import Quantity, Section
+from ._casekeys import Quantity, Section, table_of
 from ._types import AXES
 from ._units import EXPONENT, express, parse, written_unit
 
@@ -13,7 +13,8 @@ from ._units import EXPONENT, express, parse, written_unit
 class Leaf:
     """A number of a case file that is a leaf of its `Case`.
 
-    - `field`: where it is in the case: ("structure", "damping_ratio") is `case.structure.damping_ratio`.
+    - `field`: table and key: ("structure", "damping_ratio") is `case.structure.damping_ratio`, and ("robot.tool", "mass")
+      is `case.robot.tool.mass`.
     - `index`: its place in that array, () for a single number.
     - `value`: in SI.
     - `unit`: the unit in which the file gives it; the SI unit for a bare number, and for `force.kf`, whose unit changes
@@ -35,11 +36,12 @@ class Leaf:
 def leaves(tables: Mapping[str, Any], sections: Mapping[str, Section]) -> dict[str, Leaf]:
     """Every leaf of a case file whose tables have been checked, by name."""
     found = {}
-    for section, table in tables.items():
-        for key, kind in sections[section].keys.items() if section in sections else ():
+    for section, known in sections.items():
+        table = table_of(tables, section) or {}
+        for key, kind in known.keys.items():
             if isinstance(kind, Quantity) and kind.parameter and key in table:
                 for index, given in _items(table[key]):
-                    name = ".".join((section, key, *_labels(section, index, table)))
+                    name = ".".join((section, key, *labels(section, key, index, table)))
                     unit = kind.unit if EXPONENT in kind.unit else written_unit(given, kind.unit)
                     value = parse(name, *kind.resolved(given, table))
                     found[name] = Leaf((section, key), index, value, unit, kind.unit)
@@ -55,7 +57,8 @@ def rewrite(text: str, values: Mapping[Leaf, float]) -> str:
 
     document = tomlkit.parse(text)
     for leaf, value in values.items():
-        *path, last = (*leaf.field, *leaf.index)
+        section, key = leaf.field
+        *path, last = (*section.split("."), key, *leaf.index)
         place: Any = document
         for step in path:
             place = place[step]
@@ -72,8 +75,11 @@ def _items(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int,
         yield index, value
 
 
-def _labels(section: str, index: tuple[int, ...], table: Mapping[str, Any]) -> list[str]:
-    """Names of the axes where there is one number per axis, and numbers for rows, columns, coordinates and teeth."""
+def labels(section: str, key: str, index: tuple[int, ...], table: Mapping[str, Any]) -> list[str]:
+    """Names of the axes where there is one number per axis, of joints and modes, and numbers for rows, columns, coordinates
+    and teeth."""
+    if len(index) == 1 and section == "robot":
+        return [f"{'mode' if key == 'damping_ratio' else 'joint'}_{index[0] + 1}"]
     if len(index) == 1 and section != "tool" and "mode_shapes" not in table:
         return [table.get("axes", AXES)[index[0]]]
     return [str(i) for i in index]

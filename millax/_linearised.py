@@ -34,7 +34,7 @@ PER_VIBRATION = 12
 
 def resolution(case: Case, fewest: int = 80) -> int:
     """Steps per tooth period that resolve the teeth and the structure."""
-    s = case.structure
+    s = case.at_tool
     fastest = float(fastest_rate(s.mass_matrix, s.damping_matrix, s.stiffness_matrix))
     needed = max(fewest, PER_VIBRATION * fastest * float(case.cut.tooth_period(case.tool)) / (2 * math.pi))
     enough = [steps for steps in STEPS if steps >= needed]
@@ -49,7 +49,7 @@ def resolution(case: Case, fewest: int = 80) -> int:
 
 def delay_equation(case: Case, steps: int) -> DelayEquation:
     """Of a steady case, with `steps` steps in a tooth period."""
-    structure, n = case.structure, case.structure.coordinates
+    structure, n = case.at_tool, case.at_tool.coordinates
     process = process_matrices(case, steps)
     dt = case.cut.tooth_period(case.tool) / steps
     shapes = structure.in_plane_shapes

@@ -10,8 +10,8 @@ from jaxtyping import Array
 
 from ._case import Case
 from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range
+from ._caseleaves import labels
 from ._forces import ExponentialLaw
-from ._types import AXES
 from ._units import parse, show
 
 Number = float | str
@@ -26,7 +26,7 @@ def valid_names(case: Case) -> list[str]:
 def value_of(case: Case, name: str) -> float:
     """The number called `name` in SI units. Raises `ValueError` for an unknown name."""
     section, key, index = _place(case, name)
-    return float(getattr(getattr(case, section), key)[index])
+    return float(getattr(_part(case, section), key)[index])
 
 
 def quantity_of(case: Case, name: str) -> Quantity:
@@ -58,7 +58,7 @@ def replace(case: Case, values: Mapping[str, Array]) -> Case:
         section, key, index = _place(case, name)
         leaf = changed.get((section, key), leaves[section, key])
         changed[section, key] = leaf.at[index].set(value)
-    return eqx.tree_at(lambda c: [getattr(getattr(c, s), k) for s, k in changed], case, list(changed.values()))
+    return eqx.tree_at(lambda c: [getattr(_part(c, s), k) for s, k in changed], case, list(changed.values()))
 
 
 def _quantity(case: Case, name: str) -> Quantity:
@@ -92,8 +92,18 @@ def _leaves(case: Case) -> dict[tuple[str, str], Array]:
         (section, key): leaf
         for section, table in tables.items()
         for key, kind in table.keys.items()
-        if kind.parameter and (leaf := getattr(getattr(case, section), key)) is not None
+        if kind.parameter and (part := _part(case, section)) is not None and (leaf := getattr(part, key)) is not None
     }
+
+
+def _part(case: Case, section: str):
+    """The object that holds the numbers of a section of the case file, None where the case has none such."""
+    if section == "structure" and case.robot is not None:
+        return None
+    found = case
+    for name in section.split("."):
+        found = None if found is None else getattr(found, name)
+    return found
 
 
 def _places(case: Case) -> dict[str, Place]:
@@ -103,25 +113,26 @@ def _places(case: Case) -> dict[str, Place]:
         if shape == ():
             places[f"{section}.{key}"] = (section, key, ())
         elif len(shape) == 1:
-            for i, part in enumerate(_parts(case, section, shape[0])):
+            for i, part in enumerate(_parts(case, section, key, shape[0])):
                 places[f"{section}.{key}.{part}"] = (section, key, (i,))
     return places
 
 
-def _parts(case: Case, section: str, n: int) -> list[str]:
-    """Names of the n numbers of a leaf: directions, or numbers from 0 of teeth and coordinates without direction."""
-    if section == "tool":
-        return [str(i) for i in range(n)]
-    if section != "structure":
-        return list(AXES[:n])
-    return list(case.structure.axes) if case.structure.mode_shapes is None else [str(i) for i in range(n)]
+def _parts(case: Case, section: str, key: str, n: int) -> list[str]:
+    """Names of the n numbers of a leaf: directions, joints, modes, or numbers from 0 of teeth and of coordinates without
+    direction."""
+    table = {}
+    if section == "structure":
+        s = case.at_tool
+        table = {"axes": s.axes} if s.mode_shapes is None else {"axes": s.axes, "mode_shapes": s.mode_shapes}
+    return [labels(section, key, (i,), table)[0] for i in range(n)]
 
 
 def _place(case: Case, name: str) -> Place:
     places = _places(case)
     if name in places:
         return places[name]
-    whole = ".".join(name.split(".")[:2])
+    whole = name if name in {f"{section}.{key}" for section, key in _leaves(case)} else name.rpartition(".")[0]
     members = [known for known in places if known.startswith(f"{name}.")]
     shapes = {f"{section}.{key}": np.shape(leaf) for (section, key), leaf in _leaves(case).items()}
     if len(shapes.get(whole, ())) == 2:

@@ -80,7 +80,7 @@ def plan(case: Case, members: Members) -> Plan:
             f"{MOST_STEPS:.0e} that one trace can hold. Simulate a shorter cut"
         )
     blocks = np.array(block_options(steps, float(shortest.min())))
-    if case.structure.coordinates == 0:
+    if case.at_tool.coordinates == 0:
         blocks, needed = blocks[:1], np.ones((len(members), 1), int)
     else:
         needed = sweeps_needed(kernel, blocks, float(case.settings.tolerance))
@@ -100,7 +100,7 @@ def _features_of(case: Case, names: tuple[str, ...], table: Float[jax.Array, "n 
 
     def features(values):
         c = member(case, names, values)
-        s = c.structure
+        s = c.at_tool
         kernel = gain_kernel(c.tool, c.force, s, c.cut, c.settings.width, c.settings.steps_per_tooth)
         matrices = (s.mass_matrix, s.damping_matrix, s.stiffness_matrix) if s.coordinates else ()
         return c.cut.tooth_period(c.tool), jnp.asarray(c.tool.shortest, float), kernel, *matrices

@@ -132,7 +132,7 @@ def simulate(*parts, throw: bool = True) -> Simulation:
 
 @eqx.filter_jit
 def _simulate(case: Case) -> Simulation:
-    tool, settings, structure = case.tool, case.settings, case.structure
+    tool, settings, structure = case.tool, case.settings, case.at_tool
     model = model_of(case)
     steps = settings.steps_per_tooth
     _, blocks, _, _, m = model.place.slices.angles.cos.shape
@@ -170,7 +170,7 @@ def model_of(case: Case) -> Model:
     m = steps // settings.blocks
     dt = cut.tooth_period(tool) / steps
     response = block_response(
-        case.structure, dt, m, forces=2 if law.ka is None else 3, felt=2 if law.process_damping is None else 4
+        case.at_tool, dt, m, forces=2 if law.ka is None else 3, felt=2 if law.process_damping is None else 4
     )
     lead = tool.lead(settings.passes)
     parts = 1 if lead is None else settings.blocks  # of a tooth period, which the march calls periods: see `Model`

@@ -210,7 +210,7 @@ def _radii(case: Case, method: Method, borders, speeds, feed_rates, depths) -> R
         Settings.suited(
             case.tool,
             case.force,
-            case.structure,
+            case.at_tool,
             with_cut(case, *at).cut,
             1e-9,
             steps_per_tooth=steps,
@@ -346,7 +346,7 @@ def _lowest(case: Case, speed, feed, borders) -> float:
             "stability: no tooth meets the stock, so there is no limit of stability. Look at stock.y, cut.start and "
             "tool.diameter"
         )
-    s = case.structure
+    s = case.at_tool
     modes = np.array([s.mass_matrix, s.damping_matrix, s.stiffness_matrix])
     mass, damping, stiffness = modes
     shapes = np.asarray(s.in_plane_shapes)
@@ -367,7 +367,7 @@ def _checked(case: Case):
     """The cut of a case whose stability can be asked for."""
     if is_traced(case):
         raise ValueError("stability: the case is traced; call it outside jit and vmap (jax.grad and jax.jacrev are fine)")
-    if not seen(case) or case.structure.coordinates == 0:
+    if not seen(case) or case.at_tool.coordinates == 0:
         raise ValueError(
             "structure: the tool is rigid in the plane, so it does not chatter and has no limit of stability. Give the case "
             "a [structure] that moves along x or y"

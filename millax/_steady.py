@@ -122,7 +122,7 @@ def is_traced(case: Case) -> bool:
 
 def seen(case: Case) -> tuple[int, ...]:
     """The directions, out of 0 (x) and 1 (y), in which the tool moves."""
-    return tuple(i for i, axis in enumerate(AXES[:2]) if axis in case.structure.axes)
+    return tuple(i for i, axis in enumerate(AXES[:2]) if axis in case.at_tool.axes)
 
 
 def process_matrices(case: Case, steps: int) -> ProcessMatrices:
@@ -183,7 +183,7 @@ class Period(eqx.Module):
     @staticmethod
     def of(case: Case) -> "Period":
         """For a steady case. Its settings count: steps, blocks, sweeps, passes, width and tolerance."""
-        sweeps = case.settings.sweeps if case.structure.coordinates else 1
+        sweeps = case.settings.sweeps if case.at_tool.coordinates else 1
         return Period(model_of(case), sweeps, case.settings.passes, 1 if case.tool.equal_teeth else case.tool.teeth)
 
     def at_rest(self) -> Orbit:

@@ -178,7 +178,6 @@ BAD = {
     "unknown law": ('"fractional"', '"quadratic"', ['force.law: "quadratic" given', '"exponential"']),
     "law of another type": ('"fractional"', "3", ["force.law: 3 given", '"exponential"']),
     "unknown table": ("[tool]", "[toool]", ["[toool] is not a table", "Did you mean tool?", "simulation"]),
-    "table that does nothing yet": ("[tool]", '[robot]\nmodel = "a"\n[tool]', ["[robot] is not a table"]),
     "missing table": ('[simulation]\nduration = "0.3 s"', "", ["table [simulation] is missing", "duration* [s]"]),
     "key outside a table": ("# a case", "depth = 1", ["depth", "belongs to [cut]"]),
     "table of another type": ("# a case", "stock = 1", ["stock: 1 given", "a table"]),

@@ -1,8 +1,31 @@
-"""The robot that carries the tool: a serial chain of links, from a table, a file or a built-in model. It knows nothing of
-cutting."""
+"""The robot that carries the tool: a serial chain of links, from a table, a file or a built-in model, rigid or elastic. It
+knows nothing of cutting."""
 
 from . import models
-from ._chain import Frames, Placement, Robot
+from ._arm import Arm, Spindle
+from ._beam import Beam
+from ._chain import Bodies, Frames, Payload, Placement, Robot
+from ._elastic import AtTool, ElasticRobot, Loads
 from ._load import load_urdf
+from ._modes import Modes, modal_damping, modes
+from ._parallel import ParallelRobot
 
-__all__ = ["Frames", "Placement", "Robot", "load_urdf", "models"]
+__all__ = [
+    "Arm",
+    "AtTool",
+    "Beam",
+    "Bodies",
+    "ElasticRobot",
+    "Frames",
+    "Loads",
+    "Modes",
+    "ParallelRobot",
+    "Payload",
+    "Placement",
+    "Robot",
+    "Spindle",
+    "load_urdf",
+    "modal_damping",
+    "models",
+    "modes",
+]

@@ -1,5 +1,6 @@
 """A robot as a serial chain of rigid links: kinematics, Jacobian, gravity."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -7,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._check import concrete, finite, not_negative
 from .._types import as_number, optional
@@ -46,6 +47,29 @@ class Frames(NamedTuple):
         return Frames(self.rotation @ other.rotation, moved)
 
 
+class Bodies(NamedTuple):
+    """What weighs in a robot, and how it moves with its n coordinates: mass [kg], (b,); Jacobians of the velocity of the
+    centre of mass and of the angular velocity, (b, 3, n); inertia about the centre of mass in the axes of the base frame
+    [kg m²], (b, 3, 3), None where it is not known."""
+
+    mass: Float[Array, " b"]
+    linear: Float[Array, "b 3 n"]
+    angular: Float[Array, "b 3 n"]
+    inertia: Float[Array, "b 3 3"] | None
+
+    def weight(self, gravity: Float[Array, " 3"]) -> Float[Array, " n"]:
+        """What gravity [m/s²] loads the coordinates with [N m], [N]: sum of m J^T g."""
+        return jnp.einsum("b,bin,i->n", self.mass, self.linear, gravity)
+
+    @property
+    def mass_matrix(self) -> Float[Array, "n n"]:
+        """M = sum of m J^T J + J_r^T I J_r [kg m²], [kg]. Raises `ValueError` where the inertia is not known."""
+        if self.inertia is None:
+            raise ValueError("robot: this one has no inertia; give that of every link, or take rods (with_rods)")
+        moved = jnp.einsum("b,bin,bim->nm", self.mass, self.linear, self.linear)
+        return moved + jnp.einsum("bin,bij,bjm->nm", self.angular, self.inertia, self.angular)
+
+
 class Placement(eqx.Module):
     """Where a frame stands in another one: origin p = xyz, axes R = Rz(yaw) Ry(pitch) Rx(roll).
 
@@ -67,6 +91,28 @@ class Placement(eqx.Module):
     def frames(self) -> Frames:
         """R and p."""
         return Frames(self.rotation, self.xyz)
+
+
+class Payload(eqx.Module):
+    """What the flange carries: a spindle, a gripper.
+
+    **Arguments:**
+
+    - `mass`: [kg], >= 0.
+    - `centre_of_mass`: in the frame of the flange [m], shape (3,).
+    - `inertia`: about the centre of mass, in the axes of the flange [kg m²], shape (3, 3). Default: that of a point.
+    """
+
+    mass: Float[Array, ""] = eqx.field(converter=as_number)
+    centre_of_mass: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
+    inertia: Float[Array, "3 3"] = eqx.field(converter=as_number, default_factory=lambda: np.zeros((3, 3)))
+
+    def __check_init__(self):
+        for name, shape, unit in (("mass", (), "kg"), ("centre_of_mass", (3,), "m"), ("inertia", (3, 3), "kg m²")):
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise ValueError(f"payload.{name}: shape {value.shape} given; it must be {shape}")
+            (not_negative if name == "mass" else finite)(f"payload.{name}", value, unit)
 
 
 class Robot(eqx.Module):
@@ -95,9 +141,10 @@ class Robot(eqx.Module):
     - `mass`: of the links [kg], >= 0, shape (n,).
     - `centre_of_mass`: in the frame of the link [m], shape (n, 3).
     - `inertia`: of each link about its centre of mass, in the axes of the link [kg m²], shape (n, 3, 3), symmetric.
+    - `payload`: what the flange carries.
 
-    What a description does not give of the last three is None; what needs it then raises `ValueError`. So do shapes that do
-    not fit, numbers out of these ranges, and limits that leave no room.
+    What a description does not give of masses, centres and inertia is None; what needs it then raises `ValueError`. So do
+    shapes that do not fit, numbers out of these ranges, and limits that leave no room.
     """
 
     names: tuple[str, ...] = eqx.field(static=True, converter=tuple)
@@ -114,6 +161,7 @@ class Robot(eqx.Module):
     mass: Float[Array, " n"] | None = eqx.field(converter=optional, default=None)
     centre_of_mass: Float[Array, "n 3"] | None = eqx.field(converter=optional, default=None)
     inertia: Float[Array, "n 3 3"] | None = eqx.field(converter=optional, default=None)
+    payload: Payload | None = None
 
     def __check_init__(self):
         n = len(self.names)
@@ -213,10 +261,36 @@ class Robot(eqx.Module):
             **others,
         )
 
+    def with_rods(self, thickness, mass: Rows | None = None) -> "Robot":
+        """The robot with uniform rods as links: a stand-in where only the masses are known.
+
+        The mass m of a link is spread along the straight line r from its joint to the next one, or to the flange: its
+        centre is at r/2, its inertia m/12 ((r . r) 1 - r r^T) + 2/5 m t² 1, that of the line, thickened by a ball.
+
+        **Arguments:**
+
+        - `thickness`: t, the radius of the ball [m]: without it a link could turn about its own line for nothing.
+        - `mass`: of the links [kg], shape (n,). None: those of the robot.
+
+        Raises `ValueError` for a robot without masses, where none are given.
+        """
+        mass = self.mass if mass is None else as_number(mass)
+        if mass is None:
+            raise ValueError("robot.mass: this robot has none; give the mass of every link")
+        line, size = self.ends, as_number(thickness)
+        square = jnp.sum(line**2, axis=1)[:, None, None] * jnp.eye(3) - line[:, :, None] * line[:, None, :]
+        inertia = mass[:, None, None] * (square / 12 + 0.4 * size**2 * jnp.eye(3))
+        return dataclasses.replace(self, mass=mass, centre_of_mass=line / 2, inertia=inertia)
+
     @property
     def joints(self) -> int:
         """Number of joints n."""
         return len(self.names)
+
+    @property
+    def ends(self) -> Float[Array, "n 3"]:
+        """Where each link ends, in its frame [m]: at the origin of the next joint, the last one at the flange."""
+        return jnp.concatenate([self.xyz[1:], self.flange.xyz[None]])
 
     @property
     def _turning(self) -> np.ndarray:
@@ -228,7 +302,7 @@ class Robot(eqx.Module):
 
     def frames(self, q: Float[Array, " n"]) -> Frames:
         """Where the links stand at q in the base frame, T_0^1 ... T_0^n: rotations (n, 3, 3) [-] and origins (n, 3) [m]."""
-        q = self._coordinates(q) + self.zero
+        q = self.coordinates_of(q) + self.zero
         turn, slide = jnp.where(self._turning, q, 0.0), jnp.where(self._turning, 0.0, q)
         place = Placement(self.xyz, self.rpy).frames
         moved = place.then(Frames(_turned(self._direction, turn), self._direction * slide[:, None]))
@@ -252,18 +326,60 @@ class Robot(eqx.Module):
         joints with J^T w.
         """
         frames = self.frames(q)
-        axis = self._axes(frames)
-        arm = self._tool_frame(frames).position - frames.position
-        turning = self._turning[:, None]
-        linear = jnp.where(turning, jnp.cross(axis, arm), axis)
-        angular = jnp.where(turning, axis, 0.0)
-        return jnp.concatenate([linear, angular], axis=1).T
+        linear, angular = self.velocities(frames, self._tool_frame(frames).position[None], np.array([self.joints - 1]))
+        return jnp.concatenate([linear[0], angular[0]])
+
+    def velocities(
+        self, frames: Frames, points: Float[Array, "b 3"], links: Int[np.ndarray, " b"]
+    ) -> tuple[Float[Array, "b 3 n"], Float[Array, "b 3 n"]]:
+        """Jacobians of points of links: of their velocity, and of the angular velocity of the link.
+
+        **Arguments:**
+
+        - `frames`: of the links, as `frames` gives them.
+        - `points`: in the base frame [m].
+        - `links`: on which each point is, from 0.
+        """
+        axis = jnp.einsum("nij,nj->ni", frames.rotation, self._direction)  # a joint does not move its own axis
+        turning, carried = self._turning[:, None], (links[:, None] >= np.arange(self.joints))[..., None]
+        linear = jnp.where(turning, jnp.cross(axis, points[:, None] - frames.position), axis)
+        angular = jnp.broadcast_to(jnp.where(turning, axis, 0.0), linear.shape)
+        return jnp.where(carried, linear, 0.0).swapaxes(1, 2), jnp.where(carried, angular, 0.0).swapaxes(1, 2)
+
+    def bodies(self, q: Float[Array, " n"]) -> Bodies:
+        """Links and payload, and how they move with the joints. Raises `ValueError` for a robot without masses or centres
+        of mass."""
+        every = np.arange(self.joints)
+        return self.bodies_on(self, self.frames(q), every, every >= 0)
+
+    def bodies_on(
+        self, chain: "Robot", frames: Frames, places: Int[np.ndarray, " n"], rigid: Bool[np.ndarray, " n"]
+    ) -> Bodies:
+        """Those of the links that are `rigid`, and the payload, on a longer chain: `places` says which of its links,
+        at `frames`, are those of this robot."""
+        missing = [name for name in ("mass", "centre_of_mass") if getattr(self, name) is None]
+        if missing:
+            raise ValueError(
+                f"robot: this one has no {' and no '.join(missing)}; give them for every link, or take rods (with_rods)"
+            )
+        assert self.mass is not None
+        assert self.centre_of_mass is not None
+        links, mass, centre = places[rigid], self.mass[rigid], self.centre_of_mass[rigid]
+        inertia = None if self.inertia is None else self.inertia[rigid]
+        if (load := self.payload) is not None:
+            held = chain.flange.frames.then(Frames(jnp.eye(3), load.centre_of_mass))
+            links = np.append(links, chain.joints - 1)
+            mass, centre = jnp.append(mass, load.mass), jnp.concatenate([centre, held.position[None]])
+            if inertia is not None:
+                inertia = jnp.concatenate([inertia, (held.rotation @ load.inertia @ held.rotation.T)[None]])
+        turned = frames.rotation[links]
+        points = frames.position[links] + jnp.einsum("bij,bj->bi", turned, centre)
+        linear, angular = chain.velocities(frames, points, links)
+        return Bodies(mass, linear, angular, None if inertia is None else turned @ inertia @ turned.swapaxes(1, 2))
 
     def gravity(self, q: Float[Array, " n"], gravity=(0.0, 0.0, -9.81)) -> Float[Array, " n"]:
-        """G = dV/dq with V = -sum_i m_i g . c_i(q): what the joints must exert to hold the links [N m], if they slide [N].
-
-        Joint i carries the links from i on, of mass m and first moment s = sum of m_k c_k: G_i = -g . (z_i x (s - m p_i))
-        where it turns, -m g . z_i where it slides.
+        """G = dV/dq with V = -sum_i m_i g . c_i(q): what the joints must exert to hold links and payload [N m], if they
+        slide [N].
 
         **Arguments:**
 
@@ -272,22 +388,22 @@ class Robot(eqx.Module):
 
         Raises `ValueError` for a robot without masses or centres of mass.
         """
-        if self.mass is None or self.centre_of_mass is None:
-            missing = [name for name in ("mass", "centre_of_mass") if getattr(self, name) is None]
-            raise ValueError(f"robot.gravity: this robot has no {' and no '.join(missing)}; give them for every link")
-        frames = self.frames(q)
-        centre = frames.position + jnp.einsum("nij,nj->ni", frames.rotation, self.centre_of_mass)
-        mass = _from_here_on(self.mass[:, None])
-        moment = _from_here_on(self.mass[:, None] * centre) - mass * frames.position
-        axis = self._axes(frames)
-        return -jnp.where(self._turning[:, None], jnp.cross(axis, moment), mass * axis) @ as_number(gravity)
+        return -self.bodies(q).weight(as_number(gravity))
 
-    def check(self, q: Float[Array, "*time n"]) -> None:
+    def mass_matrix(self, q: Float[Array, " n"]) -> Float[Array, "n n"]:
+        """M of the kinetic energy q'^T M q' / 2 of links and payload, rigid as they are [kg m²], of sliding joints [kg].
+
+        Raises `ValueError` for a robot without masses, centres of mass or inertia.
+        """
+        return self.bodies(q).mass_matrix
+
+    def check(self, q: Float[Array, "*time n"], name: str = "q") -> None:
         """Raise `ValueError` for joint coordinates that are not finite or beyond the limits, with joint, value and limits.
 
         **Arguments:**
 
         - `q`: [rad], [m], one set or many, shape (..., n). Traced ones pass: they have no value to look at.
+        - `name`: what messages call it.
 
         A robot without limits has none.
         """
@@ -295,7 +411,7 @@ class Robot(eqx.Module):
         if given is None:
             return
         if given.shape[-1:] != (self.joints,):
-            raise ValueError(f"q: shape {given.shape} given; the last axis must be the {self.joints} joints")
+            raise ValueError(f"{name}: shape {given.shape} given; the last axis must be the {self.joints} joints")
         unknown = np.full(self.joints, np.inf)
         lower = -unknown if self.lower is None else np.asarray(self.lower)
         upper = unknown if self.upper is None else np.asarray(self.upper)
@@ -306,19 +422,16 @@ class Robot(eqx.Module):
             values = given[*when, joint], lower[joint], upper[joint]
             shown, low, high = (_shown(float(value), self.kinds[joint]) for value in values)
             at = f" in set {tuple(map(int, when))}" if when else ""
-            raise ValueError(f"q: {shown} given for {self.names[joint]}{at}; it must be from {low} to {high}")
+            raise ValueError(f"{name}: {shown} given for {self.names[joint]}{at}; it must be from {low} to {high}")
 
-    def _coordinates(self, q) -> Float[Array, " n"]:
+    def coordinates_of(self, q) -> Float[Array, " n"]:
+        """q as an array. Raises `ValueError` for another number of them than of joints."""
         q = as_number(q)
         if q.shape != (self.joints,):
             raise ValueError(
                 f"q: shape {q.shape} given; it must be ({self.joints},), one number per joint. For many sets use jax.vmap"
             )
         return q
-
-    def _axes(self, frames: Frames) -> Float[Array, "n 3"]:
-        """z_i in the base frame: a joint does not move its own axis."""
-        return jnp.einsum("nij,nj->ni", frames.rotation, self._direction)
 
     def _tool_frame(self, frames: Frames) -> Frames:
         found = Frames(frames.rotation[-1], frames.position[-1])
@@ -331,11 +444,6 @@ def _turned(axis: Float[Array, "n 3"], angle: Float[Array, " n"]) -> Float[Array
     """Rodrigues: R = I + sin(angle) K + (1 - cos(angle)) K², K v = axis x v."""
     cross = jnp.cross(axis[:, None, :], jnp.eye(3)).swapaxes(1, 2)
     return jnp.eye(3) + jnp.sin(angle)[:, None, None] * cross + (1 - jnp.cos(angle))[:, None, None] * (cross @ cross)
-
-
-def _from_here_on(x: Float[Array, "n m"]) -> Float[Array, "n m"]:
-    """Of every row its sum with those after it."""
-    return jnp.cumsum(x[::-1], axis=0)[::-1]
 
 
 def _shown(value: float, kind: str) -> str:

@@ -14,11 +14,12 @@ HALF = np.pi / 2
 
 
 def kuka_kr270() -> Robot:
-    """KUKA KR270: kinematics and masses, no centres of mass, no inertia, no limits.
+    """KUKA KR270: kinematics and masses, rods for its links, no limits.
 
     The lengths are widely used values for an arm of this series (a floor-mounted first generation KR QUANTEC of 2.7 m reach
     with a wrist of 240 mm). C does not print them and the maker has not published them for this robot that we know of: a few
-    centimetres may be wrong, a_3 first. The masses are those of C (Table 1).
+    centimetres may be wrong, a_3 first. The masses are those of C (Table 1). C reduces the links as beams and prints neither
+    centres of mass nor inertia: here they are a placeholder, `Robot.with_rods`, 0.15 m thick. Nothing of it was measured.
     """
     return Robot.from_dh(
         a=[0.350, 1.150, -0.041, 0.0, 0.0, 0.0],  # a_1, a_2, a_3: widely used
@@ -26,8 +27,7 @@ def kuka_kr270() -> Robot:
         alpha=[HALF, 0.0, HALF, -HALF, HALF, np.pi],
         theta=[0.0, 0.0, -HALF, 0.0, 0.0, np.pi],
         base=Placement((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0)),  # joint 1 turns about an axis that points down
-        mass=[336.8, 259.4, 85.2, 54.5, 36.3, 18.2],  # C, Table 1
-    )
+    ).with_rods(0.15, mass=[336.8, 259.4, 85.2, 54.5, 36.3, 18.2])  # C, Table 1
 
 
 KR210_PLACES = (  # of each joint in the frame of the link before: x, y, z [m], roll, pitch, yaw [rad]
