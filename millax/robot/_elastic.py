@@ -298,14 +298,14 @@ class ElasticRobot(eqx.Module):
             springs = jacobian.shape[1]
             if springs < 6:
                 raise ValueError(
-                    f"{name}: with {springs} springs the tool gives way in {springs} of its six directions only; give elastic "
-                    "links (beams)"
+                    f"{name}: with {springs} springs the tool gives way in {springs} of its six directions only; give "
+                    "elastic links (beams)"
                 )
             names = combination(self.chain.names, motions[5])
             shown = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(np.asarray(q)))
             raise ValueError(
-                f"{name}: the pose ({shown}) deg is singular: {names} can move without the tool, which cannot move in one of "
-                "its six directions. Change one of them by a degree"
+                f"{name}: the pose ({shown}) deg is singular: {names} can move without the tool, which cannot move in one "
+                "of its six directions. Change one of them by a degree"
             )
         if self.robot.mass is None:
             return

@@ -74,8 +74,8 @@ class ParallelRobot(eqx.Module):
             away = np.abs(poses[i] - poses[0]).max()
             if away > APART:
                 raise ValueError(
-                    f"q: leg {i + 1} ends {away:.2g} (m, or parts of 1 of a direction) from where leg 1 does; give coordinates "
-                    "at which all legs meet"
+                    f"q: leg {i + 1} ends {away:.2g} (m, or parts of 1 of a direction) from where leg 1 does; give "
+                    "coordinates at which all legs meet"
                 )
             size = _sizes(np.asarray(leg.chain.jacobian(leg.extended(own))), leg)
             if len(size) < 6 or size[-1] <= SINGULAR * size[0]:
