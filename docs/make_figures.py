@@ -17,7 +17,7 @@ TOOTH_PERIODS = 3
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
     problem = load_fit(DOCS.parent / "data_synthetic/kr240_slot.toml")
-    result = fit(problem.case, problem.traces, problem.parameters)
+    result = fit(problem.cases, problem.traces, problem.parameters)
     draw_fit(problem, result).savefig(DOCS / "fit.png", dpi=110, metadata={"Software": None})
 
 

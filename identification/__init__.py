@@ -6,20 +6,24 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ._fit import Progress, fit
     from ._fitfile import FitProblem, load_fit
+    from ._identifiability import Check, Prospect, check
     from ._parameters import Parameter
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._traces import Trace, TraceError, read_trace
 
 __all__ = [
     "STATUS",
+    "Check",
     "Estimate",
     "FitProblem",
     "FitResult",
     "Parameter",
     "Progress",
+    "Prospect",
     "Trace",
     "TraceError",
     "TraceFit",
+    "check",
     "fit",
     "load_fit",
     "read_trace",
@@ -28,6 +32,7 @@ __all__ = [
 _HOMES = {
     "_fit": ("Progress", "fit"),
     "_fitfile": ("FitProblem", "load_fit"),
+    "_identifiability": ("Check", "Prospect", "check"),
     "_parameters": ("Parameter",),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_traces": ("Trace", "TraceError", "read_trace"),

@@ -45,7 +45,7 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike) -> int:
         else:
             estimates = {e.name: value_of(result.case, e.name) for e in result.parameters}
             text = problem.file.with_values(estimates)
-            if result.case.settings.sweeps != problem.case.settings.sweeps:
+            if result.case.settings.sweeps != problem.cases[0].settings.sweeps:
                 text = _with_numerics(text, result.case.settings)
             (folder / "fitted.toml").write_text(text, encoding="utf-8")
         names = ", ".join(sorted(file.name for file in folder.iterdir()))
@@ -63,9 +63,9 @@ def _with_numerics(text: str, settings: Settings) -> str:
 
 def _fit(problem: FitProblem) -> FitResult:
     if not console.is_terminal:
-        return fit(problem.case, problem.traces, problem.parameters, progress=lambda p: console.print(_line(p)))
+        return fit(problem.cases, problem.traces, problem.parameters, progress=lambda p: console.print(_line(p)))
     with console.status("reading") as status:
-        return fit(problem.case, problem.traces, problem.parameters, progress=lambda p: status.update(_line(p)))
+        return fit(problem.cases, problem.traces, problem.parameters, progress=lambda p: status.update(_line(p)))
 
 
 def _line(progress: Progress) -> str:

@@ -3,25 +3,24 @@
 import importlib.metadata
 import platform
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from millax import Case, simulate
+from millax import Case
 from millax._gain import MOST_SWEEPS
-from millax._runtime import double_precision
 from millax._simulate import STATUS as SIMULATION_STATUS
 
-from ._compare import Comparison, compare
-from ._parameters import FreeParameters, Parameter, free
+from ._evaluate import Evaluation, evaluate
+from ._identifiability import checked
+from ._parameters import FreeParameters, Parameter
+from ._question import Question, question
 from ._result import STATUS, Estimate, FitResult, TraceFit
 from ._solver import Steps
-from ._traces import Trace, TraceError
+from ._traces import Trace
 from ._uncertainty import RANK, Uncertainty, at_bounds, insensitive, none_known, uncertainty
 
 CONVERGED = 1e-3
@@ -56,7 +55,7 @@ class Progress:
 
 
 def fit(
-    case: Case,
+    case: Case | Sequence[Case],
     traces: Trace | Sequence[Trace],
     parameters: Sequence[Parameter | str],
     *,
@@ -71,80 +70,20 @@ def fit(
 
     **Arguments:**
 
-    - `case`: the cut that was measured. Numbers that are not free are taken as they are.
-    - `traces`: one `Trace` or several of the same cut.
+    - `case`: the cut that was measured, or one per trace: cuts at several speeds, or with the robot in several poses. The
+      free parameters are shared: they have one value in all of them. Numbers that are not free are taken as they are.
+    - `traces`: one `Trace` or several.
     - `parameters`: `Parameter`s, or names of parameters to start from the case's own value.
     - `max_iterations`: evaluations of model and Jacobian after which the fit gives up.
     - `progress`: called with a `Progress` after every evaluation.
 
     Returns a `FitResult`, also where there is no good answer: look at `success`, `status` and `message`. Ctrl-C ends a
-    fit with the best estimates so far.
+    fit with the best estimates so far. Warns before it begins where, at the guess, the traces leave parameters open: see
+    `check`.
 
     Raises `ValueError` for parameters and traces that cannot be used, and where JAX is not set to float64.
     """
-    if not double_precision():
-        raise ValueError("a fit needs float64: call millax.set_up() before anything else")
-    traces = [traces] if isinstance(traces, Trace) else list(traces)
-    if not traces:
-        raise ValueError("no trace given; a fit needs at least one")
-    numbers = free(case, [Parameter(p) if isinstance(p, str) else p for p in parameters])
-    comparisons = tuple(compare(trace, case, numbers.names) for trace in traces)
-    for trace in traces:
-        if len(trace.time) <= len(numbers):
-            raise TraceError(
-                f"{trace.name}: {len(trace.time)} samples for {len(numbers)} free parameters; give a longer trace"
-            )
-    return _Fit(case, traces, numbers, comparisons, max_iterations, progress or (lambda _: None)).run()
-
-
-class Evaluation(eqx.Module):
-    """Model and Jacobian at one point, all that least squares needs of them.
-
-    The residuals r = model - measured of channel c and their Jacobian J enter a fit only through the triangular factor
-    R_c of [J, r]: J^T J, J^T r and r^T r are those of R_c, whatever weight the channel gets afterwards.
-    """
-
-    triangles: Float[Array, "channels n+1 n+1"]
-    fitted: tuple[Float[Array, "channels samples"], ...]
-    status: Array
-    covered: Array
-
-
-@eqx.filter_jit
-def evaluate(case: Case, numbers: FreeParameters, comparisons: tuple[Comparison, ...], y: Array) -> Evaluation:
-    """The `Evaluation` of `case` with its free numbers at `y`."""
-
-    def model(y):
-        sim = simulate(numbers.insert(case, y), throw=False)
-        fitted = tuple(comparison.predict(sim) for comparison in comparisons)
-        covered = jnp.stack([comparison.covered(sim) for comparison in comparisons]).all()
-        return fitted, (sim.status, covered)
-
-    def push(direction):
-        fitted, change, aux = jax.jvp(model, (y,), (direction,), has_aux=True)
-        return fitted, change, aux
-
-    # jacfwd, but for the order of axes: parameters first is how the factorisation wants its columns.
-    fitted, changes, (status, covered) = jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(len(y)))
-    triangles = [
-        triangle(jnp.concatenate([change, (model - comparison.measured)[None]]))
-        for comparison, model, change in zip(comparisons, fitted, changes, strict=True)
-    ]
-    return Evaluation(jnp.concatenate(triangles), fitted, status, covered)
-
-
-def triangle(columns: Float[Array, "k channels samples"], part: int = 512) -> Float[Array, "channels k k"]:
-    """The triangular factor of every channel's matrix of k columns.
-
-    Factorised in parts, then the factors of the parts: exact, and each part is small enough for LAPACK to leave it to one
-    thread. On a busy machine the threads it starts for the whole wait for each other a hundred times as long.
-    """
-    k, channels, samples = columns.shape
-    parts = -(-samples // part)
-    padded = jnp.pad(columns, ((0, 0), (0, 0), (0, parts * part - samples)))
-    matrices = jnp.moveaxis(padded.reshape(k, channels, parts, part), 0, -1)
-    factors = jnp.linalg.qr(matrices, mode="r")
-    return jnp.linalg.qr(factors.reshape(channels, parts * k, k), mode="r")
+    return _Fit(question(case, traces, parameters), max_iterations, progress or (lambda _: None)).run()
 
 
 class _Failed(Exception):
@@ -159,23 +98,19 @@ class _Failed(Exception):
 class _Fit:
     """The state of a running fit: where it is best, and with which noise."""
 
-    def __init__(self, case, traces, numbers, comparisons, max_iterations, progress):
-        self.case: Case = case
-        self.traces: list[Trace] = traces
-        self.numbers: FreeParameters = numbers
-        self.comparisons: tuple[Comparison, ...] = comparisons
-        self.max_iterations: int = max_iterations
-        self.progress: Callable[[Progress], None] = progress
+    def __init__(self, asked: Question, max_iterations: int, progress: Callable[[Progress], None]):
+        self.asked = asked
+        self.cases = asked.cases
+        self.numbers = asked.numbers
+        self.max_iterations = max_iterations
+        self.progress = progress
         self.begin = time.perf_counter()
-        self.sweeps = case.settings.sweeps
         self.iterations = 0
-        self.y = np.zeros(len(numbers))
+        self.y = np.zeros(len(asked.numbers))
         self.best: Evaluation | None = None
-        self.samples = np.array([len(trace.time) for trace in traces for _ in trace.channels])
-        self.size = np.sqrt([np.mean(column**2) for trace in traces for column in trace.values.T])
-        known = [trace.noise.get(channel, np.nan) for trace in traces for channel in trace.channels]
-        self.estimated = np.isnan(known)
-        self.sigma = np.where(self.estimated, self.size, known)
+        self.samples, self.size = asked.samples, asked.size
+        self.estimated = np.isnan(asked.noise)
+        self.sigma = np.where(self.estimated, self.size, asked.noise)
 
     def run(self) -> FitResult:
         try:
@@ -204,6 +139,8 @@ class _Fit:
                 f"At the guess the traces do not depend on {names}: nothing shows in which direction to go. Take "
                 "the parameter out of the fit, measure a channel that feels it, or guess where it matters.",
             )
+        if not (before := checked(self.asked, first)).identifiable:
+            warnings.warn(f"{before.message} The fit goes on, but will not know more.", stacklevel=5)
 
     def _rounds(self) -> None:
         # Damping starts at 1. Residuals per sample make that cautious, as is right far from the optimum; near it,
@@ -239,9 +176,10 @@ class _Fit:
         """The evaluation at `y`, and why it must not be used, if so."""
         self.iterations += 1
         while True:
-            evaluation = evaluate(self.case, self.numbers, self.comparisons, jnp.asarray(y))
+            asked = self.asked
+            evaluation = evaluate(self.cases, asked.case_of, self.numbers, asked.comparisons, jnp.asarray(y))
             status = int(evaluation.status)
-            if status != SWEEPS_MISSING or self.case.settings.sweeps >= MOST_SWEEPS:
+            if status != SWEEPS_MISSING or self.sweeps >= MOST_SWEEPS:
                 break
             # Not a property of the point, but of settings chosen for other parameters: it would bar the way.
             self._more_sweeps()
@@ -254,10 +192,15 @@ class _Fit:
         return evaluation, None
 
     def _more_sweeps(self) -> None:
-        sweeps = min(self.case.settings.sweeps + 2, MOST_SWEEPS)
-        self.case = self.case.with_settings(sweeps=sweeps)
+        sweeps = min(self.sweeps + 2, MOST_SWEEPS)
+        self.cases = tuple(case.with_settings(sweeps=max(sweeps, case.settings.sweeps)) for case in self.cases)
         stage = f"compiling with {sweeps} sweeps"
         self.progress(Progress(stage, self.iterations, np.nan, time.perf_counter() - self.begin))
+
+    @property
+    def sweeps(self) -> int:
+        """The fewest of all cases."""
+        return min(case.settings.sweeps for case in self.cases)
 
     def _whitened(self, evaluation: Evaluation) -> np.ndarray:
         """The triangular factor of [J, r] over all channels, in units of the noise."""
@@ -300,15 +243,17 @@ class _Fit:
             status, message = _verdict(numbers, known)
         else:
             known = none_known(len(numbers), STATUS[status])
-        if self.case.settings.sweeps > self.sweeps:
-            message += f" The sweeps were raised from {self.sweeps} to {self.case.settings.sweeps} on the way."
+        before = min(case.settings.sweeps for case in self.asked.cases)
+        if self.sweeps > before:
+            message += f" The sweeps were raised from {before} to {self.sweeps} on the way."
+        fitted = [numbers.insert(case, jnp.asarray(y)) for case in self.cases]
         return FitResult(
             status=status,
             message=message,
             parameters=_estimates(numbers, y, known),
             correlation=known.correlation,
             traces=self._trace_fits(),
-            case=numbers.insert(self.case, jnp.asarray(y)),
+            cases=tuple(fitted[i] for i in self.asked.case_of),
             iterations=self.iterations,
             seconds=time.perf_counter() - self.begin,
             versions=versions(),
@@ -320,7 +265,7 @@ class _Fit:
         sigma = iter(self.sigma)
         return tuple(
             TraceFit(trace, np.asarray(fitted).T, {channel: float(next(sigma)) for channel in trace.channels})
-            for trace, fitted in zip(self.traces, self.best.fitted, strict=True)
+            for trace, fitted in zip(self.asked.traces, self.best.fitted, strict=True)
         )
 
 

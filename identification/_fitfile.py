@@ -13,9 +13,11 @@ file = "trace.csv"                      # beside the case file
 channels = ["Fx", "Fy", "x", "y"]       # default: all columns
 noise = { Fx = "2 N", x = "1 um" }      # standard deviation where it is known; estimated where it is not
 window = ["0 s", "0.3 s"]               # default: the whole trace
+case = { cut.spindle_speed = "8000 rpm" }   # where this cut differs from the case above; free numbers are shared
 """
 
 import difflib
+import json
 import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -31,24 +33,26 @@ from ._parameters import Parameter, free
 from ._traces import Trace, read_trace
 
 _FREE_KEYS = ("guess", "bounds")
-_TRACE_KEYS = ("file", "channels", "noise", "window")
+_TRACE_KEYS = ("file", "channels", "noise", "window", "case")
 
 
 @dataclass(frozen=True)
 class FitProblem:
-    """A question read from a case file, ready for `fit(problem.case, problem.traces, problem.parameters)`.
+    """A question read from a case file, ready for `fit(problem.cases, problem.traces, problem.parameters)`: every trace has
+    its case.
 
     `truth` holds the SI values that estimates are to be compared with, where they are known.
     """
 
     file: CaseFile
+    cases: tuple[Case, ...]
     traces: tuple[Trace, ...]
     parameters: tuple[Parameter, ...]
     truth: dict[str, float]
 
     @property
     def case(self) -> Case:
-        """The case, with its own values in it."""
+        """The case of the file, as it is above all traces."""
         return self.file.case
 
 
@@ -68,10 +72,30 @@ def load_fit(path: str | os.PathLike) -> FitProblem:
         raise CaseError(f"{file.source}: {error}") from error
     for name in numbers.names:
         file.leaf(name)  # an estimate of a number that the file leaves to its default could not be written back
+    cases = _cases(file, [source.pop("case", {}) for source in sources], numbers.names)
     traces = tuple(read_trace(Path(path).parent / source.pop("file"), **source) for source in sources)
-    for trace in traces:
-        compare(trace, file.case, numbers.names)
-    return FitProblem(file, traces, parameters, truth)
+    for trace, case in zip(traces, cases, strict=True):
+        compare(trace, case, numbers.names)
+    return FitProblem(file, cases, traces, parameters, truth)
+
+
+def _cases(file: CaseFile, changes: list[dict[str, Any]], free_names: Collection[str]) -> tuple[Case, ...]:
+    """The case of every trace: the same object where nothing differs. Raises `CaseError`."""
+    known: dict[str, Case] = {"{}": file.case}
+    for i, change in enumerate(changes, 1):
+        key = json.dumps(change, sort_keys=True, default=str)
+        if key in known:
+            continue
+        where = f"{file.source}, [[trace]] {i}, case"
+        for section, keys in change.items():
+            for name in keys if isinstance(keys, Mapping) else ():
+                ours = [free for free in free_names if free == f"{section}.{name}" or free.startswith(f"{section}.{name}.")]
+                if ours:
+                    raise CaseError(
+                        f"{where}: {section}.{name} given, but {ours[0]} is free; it has one value in all traces"
+                    )
+        known[key] = file.changed(change, where).case
+    return tuple(known[json.dumps(change, sort_keys=True, default=str)] for change in changes)
 
 
 def _question(file: CaseFile) -> tuple[tuple[Parameter, ...], dict[str, float]]:
@@ -123,6 +147,7 @@ def _sources(file: CaseFile) -> list[dict[str, Any]]:
             ("channels", list, 'a list, such as ["Fx", "x"]'),
             ("noise", Mapping, 'a table, such as { Fx = "2 N" }'),
             ("window", list, 'two times, such as ["0 s", "0.3 s"]'),
+            ("case", Mapping, 'a table, such as { cut.spindle_speed = "8000 rpm" }'),
         ):
             if key in table and not isinstance(table[key], kind):
                 raise ValueError(f"[[trace]]: {key} = {show(table[key])} given; it must be {words}")

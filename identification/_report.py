@@ -28,7 +28,7 @@ def write_report(path: Path, result: FitResult, *, title: str, truth: Mapping[st
 
 
 def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str, Any]:
-    tooth_period = float(result.case.cut.tooth_period(result.case.tool))
+    periods = [float(case.cut.tooth_period(case.tool)) for case in result.cases]
     rows = [_row(result, i, truth) for i in range(len(result.parameters))]
     return {
         "title": title,
@@ -45,7 +45,7 @@ def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str
                 "fitted": figures.measured_and_fitted(fit, tooth_period),
                 "residuals": figures.residuals(fit, tooth_period),
             }
-            for fit in result.traces
+            for fit, tooth_period in zip(result.traces, periods, strict=False)  # a fit that never ran has no traces
         ],
         "correlation": figures.correlation(result) if np.isfinite(result.correlation).sum() > 1 else None,
     }

@@ -115,7 +115,7 @@ class FitResult:
     - `parameters`: the estimates, in the order asked for.
     - `correlation`: of the estimates, shape (n, n); NaN where no uncertainty can be given.
     - `traces`: each trace beside the fitted model.
-    - `case`: the case with the estimates in it.
+    - `cases`: of each trace, its case with the estimates in it.
     - `iterations`: evaluations of model and Jacobian.
     - `seconds`: wall time, compilation included.
     - `versions`: of the programs that made it.
@@ -127,11 +127,16 @@ class FitResult:
     parameters: tuple[Estimate, ...]
     correlation: np.ndarray
     traces: tuple[TraceFit, ...]
-    case: Case
+    cases: tuple[Case, ...]
     iterations: int
     seconds: float
     versions: Mapping[str, str]
     seed: int | None = None
+
+    @property
+    def case(self) -> Case:
+        """The case of the first trace, with the estimates in it."""
+        return self.cases[0]
 
     @property
     def success(self) -> bool:

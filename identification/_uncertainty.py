@@ -95,8 +95,11 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
         covariance[np.ix_(live, live)] = inverse / np.outer(norms, norms)
 
     std_y = np.sqrt(np.diag(covariance))
-    for i in range(n):
-        if reason[i] is None and std_y[i] > UNKNOWN:
+    open_ = [i for i in range(n) if reason[i] is None and std_y[i] > UNKNOWN]
+    for i in open_:
+        reason[i] = _drowned(free, i, live, covariance, slope, value)
+    for i in open_:
+        if reason[i] is None:
             shown, unit = free.shown(i, abs(slope[i]) * std_y[i]), free.units[i]
             reason[i] = (
                 f"the standard error of {free.names[i]}, about {shown:.2g} {unit}".rstrip()
@@ -115,11 +118,23 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
     )
 
 
-def _combination(names: list[str], change: np.ndarray) -> str:
-    """A direction in which nothing measured changes, in words."""
+def _drowned(free: FreeParameters, i: int, live, covariance, slope, value) -> str | None:
+    """The combination that parameter `i` takes part in and noise hides, in words; None where it is alone."""
+    size, directions = np.linalg.eigh(covariance[np.ix_(live, live)])
+    worst = np.argmax(np.abs(directions[list(live).index(i)]) * np.sqrt(np.maximum(size, 0.0)))
+    direction = directions[:, worst]
+    involved = np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())
+    if len(involved) == 1:
+        return None
+    change = direction * slope[live] / np.where(value[live] != 0, value[live], 1.0)
+    return _combination([free.names[live[k]] for k in involved], change[involved], "the traces by less than their noise")
+
+
+def _combination(names: list[str], change: np.ndarray, what: str = "nothing that was measured") -> str:
+    """A direction in which a change of the parameters changes only `what`, in words."""
     change = change / change[np.argmax(np.abs(change))]
     parts = [f"{c:+.3g} % of {name}" for name, c in zip(names, change, strict=True)]
     if len(parts) == 1:
-        return f"{names[0]} changes nothing that was measured"
+        return f"{names[0]} changes {what}"
     together = f"{', '.join(parts[:-1])} with {parts[-1]}"
-    return f"{', '.join(names)} cannot be told apart: {together} changes nothing that was measured. Fix one of them"
+    return f"{', '.join(names)} cannot be told apart: {together} changes {what}. Fix one of them"

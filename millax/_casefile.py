@@ -64,6 +64,12 @@ class CaseFile:
             raise CaseError(f"{source}: not valid TOML: {error}") from None
         return cls(source, text, _case(tables, source))
 
+    def changed(self, changes: Mapping[str, Any], source: str) -> "CaseFile":
+        """The file with other values, tables in tables as `tables` has them; `source` names it. Raises `CaseError`."""
+        import tomlkit
+
+        return CaseFile.from_text(tomlkit.dumps(_merged(self.tables, changes)), source)
+
     @functools.cached_property
     def tables(self) -> dict[str, Any]:
         """The file as plain dictionaries, lists and values, with the tables of fits and traces."""
@@ -124,6 +130,14 @@ class CaseFile:
             others = (values.get(name, leaf.value) for name, leaf in pitch.items() if name != self._last_pitch)
             written[pitch[self._last_pitch]] = 2 * math.pi - sum(others)
         return rewrite(self.text, written)
+
+
+def _merged(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(tables)
+    for key, value in changes.items():
+        inner = merged.get(key)
+        merged[key] = _merged(inner, value) if isinstance(inner, Mapping) and isinstance(value, Mapping) else value
+    return merged
 
 
 def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:

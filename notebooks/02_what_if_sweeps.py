@@ -120,7 +120,7 @@ assert abs(float(best) * case.tool.teeth / 60 / mode - 1) < 0.05
 
 # %%
 problem = load_fit(Path("../data_synthetic/kr240_slot.toml"))
-fitted = fit(problem.case, problem.traces, problem.parameters)
+fitted = fit(problem.cases, problem.traces, problem.parameters)
 estimates = {e.name: f"{e.value} ± {e.std} {e.unit}" for e in fitted.parameters}
 
 spread = {}

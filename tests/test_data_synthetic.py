@@ -22,7 +22,7 @@ def test_regenerating_gives_the_same_bytes(tmp_path):
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
 def test_the_truth_is_found(path):
     problem = load_fit(path)
-    result = fit(problem.case, problem.traces, problem.parameters)
+    result = fit(problem.cases, problem.traces, problem.parameters)
     assert result.success, result.message
     assert set(problem.truth) == {estimate.name for estimate in result.parameters}
     for name, true in problem.truth.items():

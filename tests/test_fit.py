@@ -9,8 +9,9 @@ import pytest
 from cases import slot
 
 import millax as mx
-from identification import Parameter, Trace, TraceError, _fit, fit
-from identification._fit import triangle
+from identification import Parameter, Trace, TraceError, _evaluate, _fit, fit
+from identification._evaluate import triangle
+from identification._parameters import free
 from identification._solver import Steps
 from identification._transforms import Above
 from millax._names import valid_names
@@ -129,8 +130,8 @@ def test_two_traces_of_one_cut_know_more_than_either(rigid_trace):
 
 def test_other_numbers_are_no_reason_to_compile_again(monkeypatch, rigid_trace):
     traced = []
-    simulate = _fit.simulate
-    monkeypatch.setattr(_fit, "simulate", lambda *a, **k: traced.append(1) or simulate(*a, **k))
+    simulate = _evaluate.simulate
+    monkeypatch.setattr(_evaluate, "simulate", lambda *a, **k: traced.append(1) or simulate(*a, **k))
     # A length of its own, so that no other test has compiled it.
     for guess, depth, first in ((4e9, 1e-3, 0), (6e9, 1.1e-3, 3)):
         case = eqx.tree_at(lambda c: c.cut.depth, RIGID, jnp.array(depth))
@@ -207,8 +208,8 @@ def test_a_simulation_that_fails_on_the_way_is_a_step_turned_down(monkeypatch, r
 def test_an_optimum_behind_a_wall_of_failures_is_no_answer(monkeypatch, rigid_trace):
     evaluate = _fit.evaluate
 
-    def walled(case, numbers, comparisons, y):
-        result = evaluate(case, numbers, comparisons, y)
+    def walled(cases, case_of, numbers, comparisons, y):
+        result = evaluate(cases, case_of, numbers, comparisons, y)
         beyond = float(numbers.values(y)[0]) < 7e9
         return eqx.tree_at(lambda e: e.status, result, jnp.array(2)) if beyond else result
 
@@ -323,8 +324,8 @@ def test_a_positive_quantity_stays_positive_on_its_way(rigid_trace):
     seen = []
     evaluate = _fit.evaluate
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_fit, "evaluate", lambda c, n, t, y: seen.append(np.asarray(n.values(y))) or evaluate(c, n, t, y))
+        patch.setattr(_fit, "evaluate", lambda c, i, n, t, y: seen.append(np.array(n.values(y))) or evaluate(c, i, n, t, y))
         result = fit(RIGID, rigid_trace, [Parameter("force.k0", 1e8), "force.kr"])
     assert result.success
     assert min(v[0] for v in seen) > 0
-    assert isinstance(_fit.free(RIGID, [Parameter("force.k0")]).transforms[0], Above)
+    assert isinstance(free(RIGID, [Parameter("force.k0")]).transforms[0], Above)

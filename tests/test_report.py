@@ -41,7 +41,7 @@ def result(samples=30_000, **others):
         "parameters": (estimate("force.k0", 5000.0, 20.0, unit="N/mm^2"), estimate("force.kr", 0.3, 0.001)),
         "correlation": np.array([[1, -0.7], [-0.7, 1]]),
         "traces": (TraceFit(trace, fitted, {"Fx": 2.0, "y": 1e-6}),),
-        "case": CASE,
+        "cases": (CASE,),
         "iterations": 12,
         "seconds": 3.2,
         "versions": {"millax": "0.1.0"},

@@ -22,7 +22,7 @@ DEMO = Path(__file__).resolve().parents[2] / "data_synthetic" / "kr240_slot.toml
 
 def figures(run: Run):
     problem = load_fit(DEMO)
-    ours, seconds, first = _twice(lambda: fit(problem.case, problem.traces, problem.parameters))
+    ours, seconds, first = _twice(lambda: fit(problem.cases, problem.traces, problem.parameters))
     (theirs, simulations), scipy_seconds, _ = _twice(_scipy(problem, ours.case.settings.sweeps))
     (trace,) = problem.traces
     what = f"{len(problem.parameters)} parameters, {trace.values.size} numbers measured"

@@ -1,0 +1,88 @@
+"""The model beside the traces, and how it changes with the free parameters, at one point."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from millax import Case, Simulation, simulate
+
+from ._compare import Comparison
+from ._parameters import FreeParameters
+
+
+class Evaluation(eqx.Module):
+    """Model and Jacobian at one point, all that least squares needs of them.
+
+    The residuals r = model - measured of channel c and their Jacobian J enter a fit only through the triangular factor
+    R_c of [J, r]: J^T J, J^T r and r^T r are those of R_c, whatever weight the channel gets afterwards.
+    """
+
+    triangles: Float[Array, "channels n+1 n+1"]
+    fitted: tuple[Float[Array, "channels samples"], ...]
+    status: Array
+    covered: Array
+
+
+@eqx.filter_jit
+def evaluate(
+    cases: tuple[Case, ...],
+    case_of: tuple[int, ...],
+    numbers: FreeParameters,
+    comparisons: tuple[Comparison, ...],
+    y: Array,
+) -> Evaluation:
+    """The `Evaluation` of `cases` with their free numbers at `y`; `case_of` says which belongs to each comparison."""
+
+    def model(y):
+        sims = together([numbers.insert(case, y) for case in cases])
+        pairs = [(comparison, sims[i]) for comparison, i in zip(comparisons, case_of, strict=True)]
+        fitted = tuple(comparison.predict(sim) for comparison, sim in pairs)
+        covered = jnp.stack([comparison.covered(sim) for comparison, sim in pairs]).all()
+        return fitted, (jnp.max(jnp.stack([sim.status for sim in sims])), covered)
+
+    def push(direction):
+        fitted, change, aux = jax.jvp(model, (y,), (direction,), has_aux=True)
+        return fitted, change, aux
+
+    # jacfwd, but for the order of axes: parameters first is how the factorisation wants its columns.
+    fitted, changes, (status, covered) = jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(len(y)))
+    triangles = [
+        triangle(jnp.concatenate([change, (model - comparison.measured)[None]]))
+        for comparison, model, change in zip(comparisons, fitted, changes, strict=True)
+    ]
+    return Evaluation(jnp.concatenate(triangles), fitted, status, covered)
+
+
+def together(cases: Sequence[Case]) -> list[Simulation]:
+    """The simulations of all cases; those of one shape, which differ in numbers only, as one batch."""
+    alike: dict[object, list[int]] = {}
+    for i, case in enumerate(cases):
+        leaves, kind = jax.tree.flatten(case)
+        alike.setdefault((kind, tuple(jnp.shape(leaf) for leaf in leaves)), []).append(i)
+    found: dict[int, Simulation] = {}
+    for which in alike.values():
+        if len(which) == 1:
+            found[which[0]] = simulate(cases[which[0]], throw=False)
+            continue
+        batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(cases[i] for i in which))
+        sims = jax.vmap(lambda case: simulate(case, throw=False))(batch)
+        for place, i in enumerate(which):
+            found[i] = jax.tree.map(lambda leaf, place=place: leaf[place], sims)
+    return [found[i] for i in range(len(cases))]
+
+
+def triangle(columns: Float[Array, "k channels samples"], part: int = 512) -> Float[Array, "channels k k"]:
+    """The triangular factor of every channel's matrix of k columns.
+
+    Factorised in parts, then the factors of the parts: exact, and each part is small enough for LAPACK to leave it to one
+    thread. On a busy machine the threads it starts for the whole wait for each other a hundred times as long.
+    """
+    k, channels, samples = columns.shape
+    parts = -(-samples // part)
+    padded = jnp.pad(columns, ((0, 0), (0, 0), (0, parts * part - samples)))
+    matrices = jnp.moveaxis(padded.reshape(k, channels, parts, part), 0, -1)
+    factors = jnp.linalg.qr(matrices, mode="r")
+    return jnp.linalg.qr(factors.reshape(channels, parts * k, k), mode="r")

@@ -1,0 +1,104 @@
+"""Before a fit: can the traces say what is asked?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from millax import Case, SimulationError
+from millax._simulate import STATUS
+
+from ._evaluate import Evaluation, evaluate
+from ._parameters import Parameter
+from ._question import Question, question
+from ._traces import Trace
+from ._uncertainty import Uncertainty, uncertainty
+
+ASSUMED = 0.01
+"""Noise of a channel whose noise is not known, as a part of its root mean square."""
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """What a fit can be expected to say about a parameter, at the guess.
+
+    - `name`, `unit`: of the parameter.
+    - `guess`: in `unit`.
+    - `std`: expected standard error in `unit`; None where the traces leave the parameter open.
+    - `reason`: why, in words, with the others that it cannot be told apart from.
+    """
+
+    name: str
+    unit: str
+    guess: float
+    std: float | None
+    reason: str | None
+
+
+@dataclass(frozen=True)
+class Check:
+    """Whether traces can say what is asked: the Fisher information at the guess.
+
+    - `parameters`: what is to be expected of each.
+    - `correlation`: of the estimates, shape (n, n); NaN where there will be none.
+    """
+
+    parameters: tuple[Prospect, ...]
+    correlation: Float[np.ndarray, "n n"]
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether every parameter is."""
+        return all(parameter.reason is None for parameter in self.parameters)
+
+    @property
+    def message(self) -> str:
+        """What the traces leave open, in words."""
+        if self.identifiable:
+            return f"The traces determine all {len(self.parameters)} parameters."
+        reasons = dict.fromkeys(parameter.reason for parameter in self.parameters if parameter.reason)
+        return "At the guess " + "; ".join(reasons) + "."
+
+
+def check(case: Case | Sequence[Case], traces: Trace | Sequence[Trace], parameters: Sequence[Parameter | str]) -> Check:
+    """Ask before a fit what it can find: which parameters and combinations the traces determine, and how well.
+
+    At the guess the model's traces change by J with the parameters; the covariance that a fit can reach is (J^T J)^-1, J in
+    units of the noise. What was measured does not matter, only where, when and how well. Where the noise of a
+    channel is not known, 1 % of its root mean square is assumed.
+
+    **Arguments:** as of `fit`.
+
+    Raises `ValueError` for parameters and traces that cannot be used, and `SimulationError` where the simulation fails at
+    the guess.
+    """
+    asked = question(case, traces, parameters)
+    y = jnp.zeros(len(asked.numbers))
+    evaluation = evaluate(asked.cases, asked.case_of, asked.numbers, asked.comparisons, y)
+    if status := int(evaluation.status):
+        raise SimulationError(f"At the guess: {STATUS[status]}")
+    return checked(asked, evaluation)
+
+
+def checked(asked: Question, evaluation: Evaluation) -> Check:
+    """The `Check` of an evaluation at the guess."""
+    numbers = asked.numbers
+    sigma = np.where(np.isnan(asked.noise), ASSUMED * asked.size, asked.noise)
+    rows = np.asarray(evaluation.triangles) / sigma[:, None, None]
+    whitened = np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
+    known = uncertainty(numbers, np.zeros(len(numbers)), whitened[:, :-1])
+    prospects = tuple(_prospect(asked, known, i) for i in range(len(numbers)))
+    return Check(prospects, known.correlation)
+
+
+def _prospect(asked: Question, known: Uncertainty, i: int) -> Prospect:
+    numbers, std = asked.numbers, known.std[i]
+    return Prospect(
+        name=numbers.names[i],
+        unit=numbers.units[i],
+        guess=numbers.shown(i, float(numbers.guess[i])),
+        std=None if std is None else numbers.shown(i, std),
+        reason=known.reason[i],
+    )
