@@ -4,5 +4,6 @@ cutting."""
 from . import models
 from ._chain import Frames, Placement, Robot
 from ._load import load_urdf
+from ._torch import from_pytorch_kinematics
 
-__all__ = ["Frames", "Placement", "Robot", "load_urdf", "models"]
+__all__ = ["Frames", "Placement", "Robot", "from_pytorch_kinematics", "load_urdf", "models"]
