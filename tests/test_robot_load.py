@@ -6,55 +6,11 @@ import warnings
 import jax
 import numpy as np
 import pytest
+from robots import CHAIN, FIXED, LIMIT, joint, link, robot
 
 from millax.robot import load_urdf
 
-LIMIT = '<limit lower="-2" upper="1.5" effort="1" velocity="1"/>'
 FIELD = np.array([0.4, -0.3, -9.81])
-
-
-def link(name, mass=None, xyz="0.02 -0.01 0.05", rpy="0.2 -0.3 0.4", moments=(0.2, 0.3, 0.4)):
-    if mass is None:
-        return f'<link name="{name}"/>'
-    inertia = "".join(f' {key}="{value}"' for key, value in zip(("ixx", "iyy", "izz"), moments, strict=True))
-    return (
-        f'<link name="{name}"><inertial><origin xyz="{xyz}" rpy="{rpy}"/><mass value="{mass}"/>'
-        f'<inertia{inertia} ixy="0.01" ixz="-0.02" iyz="0.015"/></inertial></link>'
-    )
-
-
-def joint(name, kind, parent, child, xyz="0.3 -0.1 0.4", rpy="0 0 0", axis="0 0 1", more=LIMIT):
-    return (
-        f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/><parent link="{parent}"/>'
-        f'<child link="{child}"/><axis xyz="{axis}"/>{more}</joint>'
-    )
-
-
-def robot(*parts):
-    return f'<?xml version="1.0"?>\n<robot name="made-up">{"".join(parts)}</robot>'
-
-
-FIXED = {"axis": "0 0 0", "more": ""}
-CHAIN = robot(
-    link("world"),
-    joint("pedestal", "fixed", "world", "foot", "0.1 0.2 0.9", "0.1 0.2 -0.3", **FIXED),
-    link("foot", 80.0),
-    joint("turn", "continuous", "foot", "column", rpy="0.5 -1.1 2.2", axis="0.3 -0.2 2.0", more=""),
-    link("column", 60.0),
-    joint("counterweight_seat", "fixed", "column", "counterweight", "-0.4 0.1 0.2", "1.0 0.3 -2.0", **FIXED),
-    link("counterweight", 25.0),
-    joint("lift", "prismatic", "column", "carriage", rpy="-0.4 0.3 0.1", axis="0 1 1"),
-    link("carriage", 30.0),
-    joint("adapter", "fixed", "carriage", "bracket", "0.1 0.1 0.1", f"0.3 {np.pi / 2!r} -0.8", **FIXED),
-    link("bracket", 4.0),
-    joint("tilt", "revolute", "bracket", "head", rpy="1.3 0.7 -2.9", axis="-1 0 0.5"),
-    link("head", 12.0),
-    joint("mount", "fixed", "head", "spindle", "0.05 0.02 0.2", "0 0.6 0.2", **FIXED),
-    link("spindle", 9.0),
-    joint("tip", "fixed", "spindle", "tool", "0 0 0.15", "3.1 0 1", **FIXED),
-    link("tool"),
-)
-"""Links fixed at the foot, between joints and at the end; a right angle of pitch; a continuous and a sliding joint."""
 
 
 def test_a_chain_with_fixed_links_is_that_of_pinocchio(tmp_path):
@@ -143,8 +99,8 @@ def test_the_default_axis_and_limits_are_those_of_the_format():
         (robot(*ARM, joint("bar", "revolute", "a", "c")), {}, "link c: carried by two joints, two and bar: .* loop"),
         (robot(*ARM, joint("back", "revolute", "c", "a")), {}, "link a: it is part of a loop"),
         (robot(*ARM, joint("back", "fixed", "c", "a", **FIXED)), {"base": "b"}, "link a: it is part of a loop"),
-        (robot(*ARM), {"base": "z"}, "base: 'z' given; the links of the file are a, b, c"),
-        (robot(*ARM), {"tip": "z"}, "tip: 'z' given; the links of the file are a, b, c"),
+        (robot(*ARM), {"base": "z"}, "base: 'z' given; the links are a, b, c"),
+        (robot(*ARM), {"tip": "z"}, "tip: 'z' given; the links are a, b, c"),
         (robot(*ARM), {"base": "c", "tip": "b"}, "tip: b is not carried by c; give a base between a and b"),
         (robot(*ARM), {"tip": "a"}, "tip: no joint moves between a and a"),
         (robot(*ARM, joint("x", "revolute", "b", "d"), link("d")), {}, "tip: several links end the robot: c, d; give"),

@@ -9,6 +9,7 @@ from ._elastic import AtTool, ElasticRobot, Loads
 from ._load import load_urdf
 from ._modes import Modes, modal_damping, modes
 from ._parallel import ParallelRobot
+from ._torch import from_pytorch_kinematics
 
 __all__ = [
     "Arm",
@@ -24,6 +25,7 @@ __all__ = [
     "Placement",
     "Robot",
     "Spindle",
+    "from_pytorch_kinematics",
     "load_urdf",
     "modal_damping",
     "models",

@@ -2,6 +2,7 @@
 
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,49 @@ def load_urdf(path_or_text: str | Path, base: str | None = None, tip: str | None
     numbers that no robot has: placeholders are common in such files.
     """
     links, joints = read(path_or_text)
+    chain = serial_chain(list(links), joints, base, tip)
+    robot = chain.robot(**_inertial(links, chain))
+    for words in implausible(robot):
+        warnings.warn(words, stacklevel=2)
+    return robot
+
+
+class Chain(NamedTuple):
+    """The joints that move between two links, each with its origin O_i; the flange; and of each link of the robot the one
+    that moves it, with where it stands in that one's frame."""
+
+    joints: list[Joint]
+    origins: list[Frames]
+    flange: Frames
+    leader: dict[str, str]
+    place: dict[str, Frames]
+
+    def robot(self, **others) -> Robot:
+        """Its `Robot`, with what else is known of it."""
+        return Robot(
+            names=tuple(joint.name for joint in self.joints),
+            kinds=tuple("prismatic" if joint.type == "prismatic" else "revolute" for joint in self.joints),
+            xyz=np.array([origin.position for origin in self.origins]),
+            rpy=np.array([rpy_of(origin.rotation) for origin in self.origins]),
+            axis=np.array([joint.axis for joint in self.joints]),
+            zero=np.zeros(len(self.joints)),
+            flange=placement(self.flange),
+            lower=np.array([joint.lower for joint in self.joints]),
+            upper=np.array([joint.upper for joint in self.joints]),
+            **others,
+        )
+
+
+def placement(frames: Frames) -> Placement:
+    """The same as `Placement`, which has angles."""
+    return Placement(frames.position, rpy_of(frames.rotation))
+
+
+def serial_chain(links: list[str], joints: list[Joint], base: str | None, tip: str | None) -> Chain:
+    """The chain from one link to another, None as in `load_urdf`; what is fixed to one another is one link.
+
+    Warns of branches that are left out, as if by the caller of its caller.
+    """
     carrier: dict[str, Joint] = {}
     for joint in joints:
         if joint.child in carrier:
@@ -41,7 +85,7 @@ def load_urdf(path_or_text: str | Path, base: str | None = None, tip: str | None
         carrier[joint.child] = joint
     for name, link in (("base", base), ("tip", tip)):
         if link is not None and link not in links:
-            raise ValueError(f"{name}: {link!r} given; the links of the file are {', '.join(links)}")
+            raise ValueError(f"{name}: {link!r} given; the links are {', '.join(links)}")
     leader, place = _rigid_groups(links, carrier)
     base = _root(links, carrier) if base is None else base
     tip = _leaf(links, joints, leader) if tip is None else tip
@@ -49,24 +93,7 @@ def load_urdf(path_or_text: str | Path, base: str | None = None, tip: str | None
     _warn_of_branches(chain, joints, leader)
     before = [inverse(place[base]).then(place[chain[0].parent]), *(place[joint.parent] for joint in chain[1:])]
     origins = [rigid.then(joint.place) for rigid, joint in zip(before, chain, strict=True)]
-    mass, centre, inertia = _inertial(links, [joint.child for joint in chain], leader, place)
-    robot = Robot(
-        names=tuple(joint.name for joint in chain),
-        kinds=tuple("prismatic" if joint.type == "prismatic" else "revolute" for joint in chain),
-        xyz=np.array([origin.position for origin in origins]),
-        rpy=np.array([rpy_of(origin.rotation) for origin in origins]),
-        axis=np.array([joint.axis for joint in chain]),
-        zero=np.zeros(len(chain)),
-        flange=Placement(place[tip].position, rpy_of(place[tip].rotation)),
-        lower=np.array([joint.lower for joint in chain]),
-        upper=np.array([joint.upper for joint in chain]),
-        mass=mass,
-        centre_of_mass=centre,
-        inertia=inertia,
-    )
-    for words in implausible(robot):
-        warnings.warn(words, stacklevel=2)
-    return robot
+    return Chain(chain, origins, place[tip], leader, place)
 
 
 def _path(base: str, tip: str, carrier: dict[str, Joint], leader: dict[str, str]) -> list[Joint]:
@@ -129,29 +156,28 @@ def _leaf(links, joints: list[Joint], leader) -> str:
     return leaves[0]
 
 
-def _inertial(links: dict[str, Body | None], moving: list[str], leader, place) -> tuple:
-    """Masses, centres of mass and inertia of the links that move, with those fixed to them."""
+def _inertial(links: dict[str, Body | None], chain: Chain) -> dict[str, np.ndarray]:
+    """Masses, centres of mass and inertia of the links that move, with those fixed to them, as far as all are known."""
+    moving = [joint.child for joint in chain.joints]
     bodies: list[Body | None] = []
     for link in moving:
         found = None
         for other, body in links.items():
-            if leader[other] == link and body is not None:
-                here = body.at(place[other])
+            if chain.leader[other] == link and body is not None:
+                here = body.at(chain.place[other])
                 found = here if found is None else found.with_body(here)
         bodies.append(found)
     known = [body for body in bodies if body is not None]
     if len(known) < len(bodies):
-        without = [link for link, body in zip(moving, bodies, strict=True) if body is None]
-        _warn_of_missing("mass", without)
-        return None, None, None
+        _warn_of_missing("mass", [link for link, body in zip(moving, bodies, strict=True) if body is None])
+        return {}
+    centres = np.array([body.centre for body in known])
+    weights = {"mass": np.array([body.mass for body in known]), "centre_of_mass": centres}
     inertia = [body.inertia for body in known]
     if any(one is None for one in inertia):
         _warn_of_missing("inertia", [link for link, one in zip(moving, inertia, strict=True) if one is None])
-    return (
-        np.array([body.mass for body in known]),
-        np.array([body.centre for body in known]),
-        None if any(one is None for one in inertia) else np.array(inertia),
-    )
+        return weights
+    return weights | {"inertia": np.array(inertia)}
 
 
 def _warn_of_missing(what: str, links: list[str]) -> None:
@@ -165,5 +191,5 @@ def _warn_of_branches(chain: list[Joint], joints: list[Joint], leader) -> None:
     if beside:
         warnings.warn(
             f"robot: not on the way to the tip: {', '.join(beside)}; they are left out, and all that they carry",
-            stacklevel=3,
+            stacklevel=4,
         )
