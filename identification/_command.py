@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import tomlkit
@@ -22,12 +23,13 @@ from ._words import interval, with_error
 _EXIT = {"converged": 0, "interrupted": 130}
 
 
-def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike) -> int:
+def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: bool = True) -> int:
     """Fit what a case file asks; write result.json, fitted.toml and report.html into the directory `out_dir`.
+    With `check`, a question to which the traces have no answer is not begun.
 
     Returns the exit code: 0 where every parameter was found; 1 where the answer is no (the result says why, and is written
     all the same); 2 for input that cannot be used, with nothing written; 130 after Ctrl-C, with the best so far written.
-    fitted.toml is left out where the fit could not start. Raises `OSError` where nothing can be written.
+    fitted.toml is left out where the fit was not begun. Raises `OSError` where nothing can be written.
     """
     try:
         problem = load_fit(case_path)
@@ -35,11 +37,11 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike) -> int:
         complain(str(error))
         return 2
     with staged(out_dir) as folder:
-        result = _fit(problem)
+        result = _fit(problem, check)
         text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
         write_report(folder / "report.html", result, title=Path(case_path).name, truth=problem.truth)
-        if result.status == "cannot_start":
+        if not result.begun:
             # One from an earlier run would not belong to this result.
             (Path(out_dir) / "fitted.toml").unlink(missing_ok=True)
         else:
@@ -61,11 +63,14 @@ def _with_numerics(text: str, settings: Settings) -> str:
     return tomlkit.dumps(document)
 
 
-def _fit(problem: FitProblem) -> FitResult:
+def _fit(problem: FitProblem, check: bool) -> FitResult:
+    def run(progress: Callable[[Progress], None]) -> FitResult:
+        return fit(problem.cases, problem.traces, problem.parameters, check=check, progress=progress)
+
     if not console.is_terminal:
-        return fit(problem.cases, problem.traces, problem.parameters, progress=lambda p: console.print(_line(p)))
+        return run(lambda p: console.print(_line(p)))
     with console.status("reading") as status:
-        return fit(problem.cases, problem.traces, problem.parameters, progress=lambda p: status.update(_line(p)))
+        return run(lambda p: status.update(_line(p)))
 
 
 def _line(progress: Progress) -> str:

@@ -3,7 +3,6 @@
 import importlib.metadata
 import platform
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -41,6 +40,12 @@ NOISE_CHANGE = 1e-3
 NOISE_FLOOR = 1e-6
 """Smallest noise claimed, relative to the channel's root mean square: the simulation is not more accurate than this."""
 
+NOT_BEGUN = "The fit was not begun, and the parameters are as guessed."
+"""What is said of a question that has no answer."""
+
+MEASURE = "Measure what tells them apart (another channel, pose or cut, or for longer), free fewer numbers, or fit without this check."
+"""What to try then."""
+
 TRY = "Start from a better guess, give bounds, or free fewer parameters."
 
 
@@ -59,6 +64,7 @@ def fit(
     traces: Trace | Sequence[Trace],
     parameters: Sequence[Parameter | str],
     *,
+    check: bool = True,
     max_iterations: int = 100,
     progress: Callable[[Progress], None] | None = None,
 ) -> FitResult:
@@ -74,34 +80,37 @@ def fit(
       free parameters are shared: they have one value in all of them. Numbers that are not free are taken as they are.
     - `traces`: one `Trace` or several.
     - `parameters`: `Parameter`s, or names of parameters to start from the case's own value.
+    - `check`: whether a question to which the traces have no answer at the guess, see `identification.check`, is not begun:
+      the status then is "not_identifiable", and the message names the combinations that cannot be known.
     - `max_iterations`: evaluations of model and Jacobian after which the fit gives up.
     - `progress`: called with a `Progress` after every evaluation.
 
     Returns a `FitResult`, also where there is no good answer: look at `success`, `status` and `message`. Ctrl-C ends a
-    fit with the best estimates so far. Warns before it begins where, at the guess, the traces leave parameters open: see
-    `check`.
+    fit with the best estimates so far.
 
     Raises `ValueError` for parameters and traces that cannot be used, and where JAX is not set to float64.
     """
-    return _Fit(question(case, traces, parameters), max_iterations, progress or (lambda _: None)).run()
+    return _Fit(question(case, traces, parameters), check, max_iterations, progress or (lambda _: None)).run()
 
 
 class _Failed(Exception):
-    """The fit cannot go on: a status and a message."""
+    """The fit cannot go on: a status, a message, and what is known of the parameters where it was not begun."""
 
-    def __init__(self, status: str, message: str):
+    def __init__(self, status: str, message: str, known: Uncertainty | None = None):
         super().__init__(message)
         self.status = status
         self.message = message
+        self.known = known
 
 
 class _Fit:
     """The state of a running fit: where it is best, and with which noise."""
 
-    def __init__(self, asked: Question, max_iterations: int, progress: Callable[[Progress], None]):
+    def __init__(self, asked: Question, check: bool, max_iterations: int, progress: Callable[[Progress], None]):
         self.asked = asked
         self.cases = asked.cases
         self.numbers = asked.numbers
+        self.check = check
         self.max_iterations = max_iterations
         self.progress = progress
         self.begin = time.perf_counter()
@@ -113,6 +122,7 @@ class _Fit:
         self.sigma = np.where(self.estimated, self.size, asked.noise)
 
     def run(self) -> FitResult:
+        known = None
         try:
             self._start()
             self._rounds()
@@ -120,10 +130,10 @@ class _Fit:
         except KeyboardInterrupt:
             status, message = "interrupted", "Stopped by the user; these are the best values so far."
         except _Failed as failure:
-            status, message = failure.status, failure.message
+            status, message, known = failure.status, failure.message, failure.known
         if self.best is None and status == "interrupted":
             raise KeyboardInterrupt
-        return self._result(status, message)
+        return self._result(status, message, known)
 
     def _start(self) -> None:
         self.progress(Progress("compiling", 0, np.nan, time.perf_counter() - self.begin))
@@ -139,8 +149,11 @@ class _Fit:
                 f"At the guess the traces do not depend on {names}: nothing shows in which direction to go. Take "
                 "the parameter out of the fit, measure a channel that feels it, or guess where it matters.",
             )
-        if not (before := checked(self.asked, first)).identifiable:
-            warnings.warn(f"{before.message} The fit goes on, but will not know more.", stacklevel=5)
+        before = checked(self.asked, first)
+        if self.check and not before.identifiable:
+            reasons = tuple(parameter.reason or NOT_BEGUN for parameter in before.parameters)
+            known = tuple(parameter.reason is None for parameter in before.parameters)
+            raise _Failed("not_identifiable", f"{before.message} {NOT_BEGUN} {MEASURE}", none_known(reasons, known))
 
     def _rounds(self) -> None:
         # Damping starts at 1. Residuals per sample make that cautious, as is right far from the optimum; near it,
@@ -236,13 +249,13 @@ class _Fit:
         assert self.best is not None
         return self.best
 
-    def _result(self, status: str, message: str) -> FitResult:
-        numbers, y = self.numbers, self.y
+    def _result(self, status: str, message: str, known: Uncertainty | None) -> FitResult:
+        numbers, y, begun = self.numbers, self.y, known is None and status != "cannot_start"
         if status == "converged":
             known = uncertainty(numbers, y, self._whitened(self._best())[:, :-1])
             status, message = _verdict(numbers, known)
-        else:
-            known = none_known(len(numbers), STATUS[status])
+        elif known is None:
+            known = none_known((STATUS[status],) * len(numbers))
         before = min(case.settings.sweeps for case in self.asked.cases)
         if self.sweeps > before:
             message += f" The sweeps were raised from {before} to {self.sweeps} on the way."
@@ -254,6 +267,7 @@ class _Fit:
             correlation=known.correlation,
             traces=self._trace_fits(),
             cases=tuple(fitted[i] for i in self.asked.case_of),
+            begun=begun,
             iterations=self.iterations,
             seconds=time.perf_counter() - self.begin,
             versions=versions(),

@@ -116,6 +116,7 @@ class FitResult:
     - `correlation`: of the estimates, shape (n, n); NaN where no uncertainty can be given.
     - `traces`: each trace beside the fitted model.
     - `cases`: of each trace, its case with the estimates in it.
+    - `begun`: whether there was anything to start from; if not, the estimates are the guesses.
     - `iterations`: evaluations of model and Jacobian.
     - `seconds`: wall time, compilation included.
     - `versions`: of the programs that made it.
@@ -128,6 +129,7 @@ class FitResult:
     correlation: np.ndarray
     traces: tuple[TraceFit, ...]
     cases: tuple[Case, ...]
+    begun: bool
     iterations: int
     seconds: float
     versions: Mapping[str, str]

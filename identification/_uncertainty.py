@@ -42,10 +42,11 @@ class Uncertainty:
     correlation: Float[np.ndarray, "n n"]
 
 
-def none_known(n: int, reason: str) -> Uncertainty:
-    """No uncertainty for any of n parameters, for one reason."""
-    nothing = (None,) * n
-    return Uncertainty(nothing, nothing, (False,) * n, (False,) * n, (reason,) * n, np.full((n, n), np.nan))
+def none_known(reasons: tuple[str, ...], identifiable: tuple[bool, ...] | None = None) -> Uncertainty:
+    """No uncertainty for any of the parameters, each for its reason; which of them could be known: by default none."""
+    n = len(reasons)
+    nothing, no = (None,) * n, (False,) * n
+    return Uncertainty(nothing, nothing, identifiable or no, no, reasons, np.full((n, n), np.nan))
 
 
 def at_bounds(free: FreeParameters, y: ArrayLike) -> np.ndarray:

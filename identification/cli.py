@@ -61,6 +61,11 @@ def _parser() -> argparse.ArgumentParser:
         "fitted.toml (the case with the estimates in it) and report.html.",
     )
     _add_paths(fit)
+    fit.add_argument(
+        "--no-check",
+        action="store_true",
+        help="begin also where the traces cannot determine what is asked",
+    )
     fit.set_defaults(run=_fit)
 
     sweep = commands.add_parser(
@@ -150,7 +155,7 @@ def _stability(arguments: argparse.Namespace) -> int:
 def _fit(arguments: argparse.Namespace) -> int:
     from ._command import run_fit
 
-    return run_fit(arguments.case, arguments.out)
+    return run_fit(arguments.case, arguments.out, check=not arguments.no_check)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Fits: what they find, how they end, and what they rest on in optimistix."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ import pytest
 from cases import slot
 
 import millax as mx
-from identification import Parameter, Trace, TraceError, _evaluate, _fit, fit
+from identification import Parameter, Trace, TraceError, _evaluate, _fit, check, fit
 from identification._evaluate import triangle
 from identification._parameters import free
 from identification._solver import Steps
@@ -148,8 +150,59 @@ def no_numbers(result):
     return all(e.std is None and e.ci95 is None and e.reason for e in result.parameters)
 
 
+def test_a_question_without_an_answer_is_not_begun(rigid_trace):
+    asked = RIGID, rigid_trace, ["force.k0", "cut.depth", "force.kr"]
+    result = fit(*asked)
+    assert result.status == "not_identifiable"
+    assert not result.begun
+    assert result.iterations == 1
+    assert result.message.startswith("At the guess force.k0, cut.depth cannot be told apart: +1 % of force.k0 with -1 %")
+    assert "not begun" in result.message
+    assert [e.identifiable for e in result.parameters] == [False, False, True]
+    assert no_numbers(result)
+    known = check(*asked)
+    assert not known.identifiable
+    assert result.message.startswith(known.message)
+    assert [p.std is None for p in known.parameters] == [True, True, False]
+
+
+def test_what_a_check_expects_is_what_a_fit_finds(rigid_trace):
+    found = fit(RIGID, rigid_trace, ["force.k0", "force.kr"])
+    trace = dataclasses.replace(rigid_trace, noise=dict(found.traces[0].sigma))
+    known = check(found.case, trace, ["force.k0", "force.kr"])
+    assert known.message == "The traces determine all 2 parameters."
+    np.testing.assert_allclose([p.std for p in known.parameters], [e.std for e in found.parameters], rtol=1e-6)
+    np.testing.assert_allclose(known.correlation, found.correlation, atol=1e-6)
+
+
+def test_traces_of_several_cuts_are_fitted_as_one(rigid_trace):
+    rng = np.random.default_rng(3)
+    feeds = [eqx.tree_at(lambda c: c.cut.feed_rate, RIGID, RIGID.cut.feed_rate * f) for f in (0.5, 1.0, 1.5)]
+    feeds.append(feeds[0].with_settings(periods=2 * RIGID.settings.periods))
+    sims = [mx.simulate(case) for case in feeds]
+    traces = [
+        Trace(
+            np.asarray(s.time),
+            FORCES,
+            np.asarray(s.force[:, :2]) + rng.normal(size=(len(s.time), 2)),
+            {"Fx": 1.0, "Fy": 1.0},
+        )
+        for s in sims
+    ]
+    asked = [Parameter("force.k0", 3e9), Parameter("force.hs", 3e-5), "force.r"]
+    result = fit(feeds, traces, asked)
+    assert result.success
+    for e, true in zip(result.parameters, (5e9, 18e-6, 0.1), strict=True):
+        assert abs(e.value - true) < 4 * e.std, e.name
+    assert [float(case.cut.feed_rate) for case in result.cases] == [float(case.cut.feed_rate) for case in feeds]
+    alone = fit(feeds[1], traces[1], asked)
+    assert alone["force.hs"].std > 2 * result["force.hs"].std  # one feed alone hardly knows the curve of the law
+    with pytest.raises(ValueError, match="2 cases given for 4 traces"):
+        fit(feeds[:2], traces, asked)
+
+
 def test_a_product_that_alone_is_known_is_named(rigid_trace):
-    result = fit(RIGID, rigid_trace, ["force.k0", "cut.depth", "force.kr"])
+    result = fit(RIGID, rigid_trace, ["force.k0", "cut.depth", "force.kr"], check=False)
     assert result.status == "not_identifiable"
     assert not result.success
     assert "force.k0, cut.depth cannot be told apart" in result.message.replace("Force", "force", 1)

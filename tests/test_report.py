@@ -42,6 +42,7 @@ def result(samples=30_000, **others):
         "correlation": np.array([[1, -0.7], [-0.7, 1]]),
         "traces": (TraceFit(trace, fitted, {"Fx": 2.0, "y": 1e-6}),),
         "cases": (CASE,),
+        "begun": True,
         "iterations": 12,
         "seconds": 3.2,
         "versions": {"millax": "0.1.0"},
