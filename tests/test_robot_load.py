@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -35,48 +36,22 @@ def robot(*parts):
 
 
 FIXED = {"axis": "0 0 0", "more": ""}
-CHAIN = robot(
-    link("world"),
-    joint("pedestal", "fixed", "world", "foot", "0.1 0.2 0.9", "0.1 0.2 -0.3", **FIXED),
-    link("foot", 80.0),
-    joint("turn", "continuous", "foot", "column", rpy="0.5 -1.1 2.2", axis="0.3 -0.2 2.0", more=""),
-    link("column", 60.0),
-    joint("counterweight_seat", "fixed", "column", "counterweight", "-0.4 0.1 0.2", "1.0 0.3 -2.0", **FIXED),
-    link("counterweight", 25.0),
-    joint("lift", "prismatic", "column", "carriage", rpy="-0.4 0.3 0.1", axis="0 1 1"),
-    link("carriage", 30.0),
-    joint("adapter", "fixed", "carriage", "bracket", "0.1 0.1 0.1", f"0.3 {np.pi / 2!r} -0.8", **FIXED),
-    link("bracket", 4.0),
-    joint("tilt", "revolute", "bracket", "head", rpy="1.3 0.7 -2.9", axis="-1 0 0.5"),
-    link("head", 12.0),
-    joint("mount", "fixed", "head", "spindle", "0.05 0.02 0.2", "0 0.6 0.2", **FIXED),
-    link("spindle", 9.0),
-    joint("tip", "fixed", "spindle", "tool", "0 0 0.15", "3.1 0 1", **FIXED),
-    link("tool"),
-)
+FILE = Path(__file__).parents[1] / "benchmarks" / "fixed_links.urdf"
+CHAIN = FILE.read_text(encoding="utf-8")
 """Links fixed at the foot, between joints and at the end; a right angle of pitch; a continuous and a sliding joint."""
 
 
-def test_a_chain_with_fixed_links_is_that_of_pinocchio(tmp_path):
-    pin = pytest.importorskip("pinocchio")
-    model = pin.buildModelFromXML(CHAIN)
-    model.gravity.linear = FIELD
-    data, tool = model.createData(), model.getFrameId("tool")
-    (tmp_path / "robot.urdf").write_text(CHAIN, encoding="utf-8")
-    ours = load_urdf(tmp_path / "robot.urdf")
+def test_a_chain_with_fixed_links_is_that_of_pinocchio():
+    pytest.importorskip("pinocchio")
+    from benchmarks import pinocchio_models
+
+    theirs = pinocchio_models.from_urdf(CHAIN, "tool")
+    ours = load_urdf(FILE)
     q = np.random.default_rng(1).uniform(-2, 2, (1000, 3))
-    found = []
-    for turn, lift, tilt in q:
-        theirs = np.array([np.cos(turn), np.sin(turn), lift, tilt])  # as Pinocchio counts a continuous joint
-        pin.framesForwardKinematics(model, data, theirs)
-        jacobian = pin.computeFrameJacobian(model, data, theirs, tool, pin.LOCAL_WORLD_ALIGNED)
-        found.append(
-            (data.oMf[tool].homogeneous, jacobian.copy(), pin.computeGeneralizedGravity(model, data, theirs).copy())
-        )
-    computed = jax.jit(jax.vmap(lambda q: (ours.pose(q), ours.jacobian(q), ours.gravity(q, FIELD))))(q)
-    for mine, theirs in zip(computed, zip(*found, strict=True), strict=True):
-        assert np.abs(np.asarray(mine) - np.array(theirs)).max() < 1e-10 * np.abs(theirs).max()
-    for i, body in enumerate(list(model.inertias)[1:]):
+    computed = jax.jit(jax.vmap(lambda q: (ours.pose(q), ours.jacobian(q), ours.gravity(q, FIELD), ours.mass_matrix(q))))(q)
+    for mine, other in zip(computed, pinocchio_models.evaluated(theirs, q, np.zeros(3), FIELD), strict=True):
+        assert np.abs(np.asarray(mine) - other).max() < 1e-10 * np.abs(other).max()
+    for i, body in enumerate(list(theirs.model.inertias)[1:]):
         np.testing.assert_allclose(ours.mass[i], body.mass, rtol=1e-12)
         np.testing.assert_allclose(ours.centre_of_mass[i], body.lever, atol=1e-12)
         np.testing.assert_allclose(ours.inertia[i], body.inertia, atol=1e-11)
