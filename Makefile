@@ -18,10 +18,11 @@ test: $(VENV)/.installed-test
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/pytest -n 2
 
-# Figures of accuracy beside the papers', and of speed.
-validate: $(VENV)/.installed
+# Figures of accuracy beside the papers' and beside other programs', some of which only the tests bring.
+validate: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.validate
 
+# Figures of speed.
 bench: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.bench --write docs/speed.md
 

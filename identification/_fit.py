@@ -43,7 +43,9 @@ NOISE_FLOOR = 1e-6
 NOT_BEGUN = "The fit was not begun, and the parameters are as guessed."
 """What is said of a question that has no answer."""
 
-MEASURE = "Measure what tells them apart (another channel, pose or cut, or for longer), free fewer numbers, or fit without this check."
+MEASURE = (
+    "Measure what tells them apart (another channel, pose or cut, longer), free fewer numbers, or fit without this check."
+)
 """What to try then."""
 
 TRY = "Start from a better guess, give bounds, or free fewer parameters."

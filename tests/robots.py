@@ -1,5 +1,7 @@
 """URDF files that tests load, and what they are written with."""
 
+from pathlib import Path
+
 import numpy as np
 
 from millax.robot import Robot, models
@@ -29,25 +31,8 @@ def robot(*parts):
 
 
 FIXED = {"axis": "0 0 0", "more": ""}
-CHAIN = robot(
-    link("world"),
-    joint("pedestal", "fixed", "world", "foot", "0.1 0.2 0.9", "0.1 0.2 -0.3", **FIXED),
-    link("foot", 80.0),
-    joint("turn", "continuous", "foot", "column", rpy="0.5 -1.1 2.2", axis="0.3 -0.2 2.0", more=""),
-    link("column", 60.0),
-    joint("counterweight_seat", "fixed", "column", "counterweight", "-0.4 0.1 0.2", "1.0 0.3 -2.0", **FIXED),
-    link("counterweight", 25.0),
-    joint("lift", "prismatic", "column", "carriage", rpy="-0.4 0.3 0.1", axis="0 1 1"),
-    link("carriage", 30.0),
-    joint("adapter", "fixed", "carriage", "bracket", "0.1 0.1 0.1", f"0.3 {np.pi / 2!r} -0.8", **FIXED),
-    link("bracket", 4.0),
-    joint("tilt", "revolute", "bracket", "head", rpy="1.3 0.7 -2.9", axis="-1 0 0.5"),
-    link("head", 12.0),
-    joint("mount", "fixed", "head", "spindle", "0.05 0.02 0.2", "0 0.6 0.2", **FIXED),
-    link("spindle", 9.0),
-    joint("tip", "fixed", "spindle", "tool", "0 0 0.15", "3.1 0 1", **FIXED),
-    link("tool"),
-)
+FIXED_LINKS = Path(__file__).parents[1] / "benchmarks" / "fixed_links.urdf"
+CHAIN = FIXED_LINKS.read_text(encoding="utf-8")
 """Links fixed at the foot, between joints and at the end; a right angle of pitch; a continuous and a sliding joint."""
 
 

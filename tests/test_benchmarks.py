@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 import millax as mx
-from benchmarks import bench, compiled
+from benchmarks import bench, compiled, kr270
 from benchmarks.figures import Figure, below, near, show
 from benchmarks.scan import step_by_step
 from benchmarks.slot import light, six_coordinates, slot
@@ -107,6 +107,16 @@ def test_the_trace_counter_counts():
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_every_subject_can_be_loaded(subject):
     assert callable(importlib.import_module(f"benchmarks.validation.{subject}").figures)
+
+
+def test_the_table_of_the_kr270_is_one_command(capsys):
+    rows = kr270.rows()
+    assert {row.met for row in rows} == {True, None}
+    values = {row.quantity: row.computed for row in rows}
+    assert values["F_y/K_yy"] < 0.6 * values["mean displacement along y, simulated"]  # held, and free to turn
+    kr270.main()
+    printed = capsys.readouterr().out
+    assert all(row.shown in printed for row in rows)
 
 
 @pytest.mark.parametrize("subject", bench.SUBJECTS)

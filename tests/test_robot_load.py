@@ -6,33 +6,24 @@ import warnings
 import jax
 import numpy as np
 import pytest
-from robots import CHAIN, FIXED, LIMIT, joint, link, robot
+from robots import CHAIN, FIXED, FIXED_LINKS, LIMIT, joint, link, robot
 
 from millax.robot import load_urdf
 
 FIELD = np.array([0.4, -0.3, -9.81])
 
 
-def test_a_chain_with_fixed_links_is_that_of_pinocchio(tmp_path):
-    pin = pytest.importorskip("pinocchio")
-    model = pin.buildModelFromXML(CHAIN)
-    model.gravity.linear = FIELD
-    data, tool = model.createData(), model.getFrameId("tool")
-    (tmp_path / "robot.urdf").write_text(CHAIN, encoding="utf-8")
-    ours = load_urdf(tmp_path / "robot.urdf")
+def test_a_chain_with_fixed_links_is_that_of_pinocchio():
+    pytest.importorskip("pinocchio")
+    from benchmarks import pinocchio_models
+
+    theirs = pinocchio_models.from_urdf(CHAIN, "tool")
+    ours = load_urdf(FIXED_LINKS)
     q = np.random.default_rng(1).uniform(-2, 2, (1000, 3))
-    found = []
-    for turn, lift, tilt in q:
-        theirs = np.array([np.cos(turn), np.sin(turn), lift, tilt])  # as Pinocchio counts a continuous joint
-        pin.framesForwardKinematics(model, data, theirs)
-        jacobian = pin.computeFrameJacobian(model, data, theirs, tool, pin.LOCAL_WORLD_ALIGNED)
-        found.append(
-            (data.oMf[tool].homogeneous, jacobian.copy(), pin.computeGeneralizedGravity(model, data, theirs).copy())
-        )
-    computed = jax.jit(jax.vmap(lambda q: (ours.pose(q), ours.jacobian(q), ours.gravity(q, FIELD))))(q)
-    for mine, theirs in zip(computed, zip(*found, strict=True), strict=True):
-        assert np.abs(np.asarray(mine) - np.array(theirs)).max() < 1e-10 * np.abs(theirs).max()
-    for i, body in enumerate(list(model.inertias)[1:]):
+    computed = jax.jit(jax.vmap(lambda q: (ours.pose(q), ours.jacobian(q), ours.gravity(q, FIELD), ours.mass_matrix(q))))(q)
+    for mine, other in zip(computed, pinocchio_models.evaluated(theirs, q, np.zeros(3), FIELD), strict=True):
+        assert np.abs(np.asarray(mine) - other).max() < 1e-10 * np.abs(other).max()
+    for i, body in enumerate(list(theirs.model.inertias)[1:]):
         np.testing.assert_allclose(ours.mass[i], body.mass, rtol=1e-12)
         np.testing.assert_allclose(ours.centre_of_mass[i], body.lever, atol=1e-12)
         np.testing.assert_allclose(ours.inertia[i], body.inertia, atol=1e-11)
