@@ -20,6 +20,7 @@ SUBJECTS = {
     "surface": "Walls and entries",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
+    "compliances": "Recovering joint compliances",
     "stability": "Limits of stability",
     "robot": "The robot at the tool",
     "programs": "Programs",
