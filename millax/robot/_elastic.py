@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -204,6 +203,8 @@ class ElasticRobot(eqx.Module):
 
     @eqx.filter_jit
     def _equilibrium(self, q, loads):
+        import optimistix as optx  # takes longer to import than all of millax, and most need no equilibrium
+
         rest, springs = self.extended(q), self.springs
 
         def left(theta, robot):
