@@ -33,18 +33,30 @@ def test_the_examples_run(monkeypatch):
 
 
 def test_the_case_file_can_be_simulated():
-    case, _ = blocks("toml")
+    case, *_ = blocks("toml")
     assert mx.CaseFile.from_text(case).case.settings.periods == 1334
 
 
 def test_the_tables_of_a_fit_are_accepted(tmp_path):
-    case, fit = blocks("toml")
+    case, fit, *_ = blocks("toml")
     header = re.search(r"(?m)^ *(time \[.*\])$", TEXT)[1]
     rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
     (tmp_path / "trace.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
     (tmp_path / "case.toml").write_text(case + fit, encoding="utf-8")
     problem = load_fit(tmp_path / "case.toml")
     assert {p.name for p in problem.parameters} == {"force.k0", "force.kr", "structure.damping_ratio.x"}
+
+
+def test_a_robot_takes_the_place_of_the_structure_and_has_poses(tmp_path):
+    case, _, robot, poses = blocks("toml")
+    other = re.sub(r"\[structure\].*?(?=\[simulation\])", lambda _: robot, case, flags=re.DOTALL)
+    rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
+    for name in ("pose1.csv", "pose2.csv"):
+        (tmp_path / name).write_text("\n".join(["time [ms],Fx [N],Fy [N],x [um],y [um]", *rows]), encoding="utf-8")
+    (tmp_path / "case.toml").write_text(f'{other}\n[[trace]]\nfile = "pose1.csv"\n{poses}', encoding="utf-8")
+    problem = load_fit(tmp_path / "case.toml")
+    assert [round(float(case.robot.joints[0]), 4) for case in problem.cases] == [1.5708, 1.0472]
+    assert [p.name for p in problem.parameters] == ["robot.compliance.joint_4"]
 
 
 @pytest.mark.parametrize("target", sorted(t for t in set(re.findall(r"\]\(([^)]+)\)", TEXT)) if not t.startswith("https:")))
