@@ -5,11 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._check import concrete, finite
-from .._types import as_number
+from .._types import as_number, optional
 from ._beam import MOTIONS, POINTS, WEIGHTS, Beam, shapes
 from ._chain import Bodies, Placement, Robot
 from ._modes import Modes, combination, modes
@@ -29,16 +28,18 @@ class Loads(eqx.Module):
 
     - `force`: on the tool centre point [N], shape (3,).
     - `moment`: on the tool, about that point [N m], shape (3,). It keeps its direction when the tool turns.
-    - `gravity`: g [m/s²], shape (3,): (0, 0, -9.81) on a floor. Default: none.
+    - `gravity`: g [m/s²], shape (3,): (0, 0, -9.81) on a floor. None: none, and the robot needs no masses.
     """
 
     force: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
     moment: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
-    gravity: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
+    gravity: Float[Array, " 3"] | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         for name, unit in (("force", "N"), ("moment", "N m"), ("gravity", "m/s²")):
             value = getattr(self, name)
+            if value is None:
+                continue
             if value.shape != (3,):
                 raise ValueError(f"loads.{name}: shape {value.shape} given; it must be (3,), along x, y and z")
             finite(f"loads.{name}", value, unit)
@@ -216,7 +217,7 @@ class ElasticRobot(eqx.Module):
     def load(self, x: Float[Array, " N"], loads: Loads) -> Float[Array, " N"]:
         """J_G^T G + J_F^T F (C 5): what gravity and the wrench on the tool load the N coordinates with at x."""
         wrench = self.chain.jacobian(x).T @ loads.wrench
-        if self.robot.mass is None and not _any(loads.gravity):
+        if loads.gravity is None:
             return wrench
         return wrench + self.bodies(x).weight(loads.gravity)
 
@@ -359,7 +360,3 @@ def _condensed(jacobian: Float[Array, "6 N"], held: Float[Array, "N N"]) -> tupl
     right = jnp.concatenate([jnp.diag(size), jnp.zeros((len(held), 6))])
     found = jnp.linalg.solve(system, right)
     return size[:, None] * found[:6], found[6:] / scale[:, None]
-
-
-def _any(value) -> bool:
-    return isinstance(value, Tracer) or bool(jnp.any(value != 0))
