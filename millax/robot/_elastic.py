@@ -286,8 +286,8 @@ class ElasticRobot(eqx.Module):
         return modes(at.mass(self), at.stiffness)
 
     def check(self, q: Float[Array, " n"], name: str = "q") -> None:
-        """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix is not positive definite, with the
-        joints it is about; `name` is what messages call q. Traced numbers pass."""
+        """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix, if there is one, not positive
+        definite, with the joints it is about; `name` is what messages call q. Traced numbers pass."""
         self.robot.check(q, name)
         jacobian = concrete(self.chain.jacobian(self.extended(q)))
         if jacobian is None:
@@ -306,9 +306,9 @@ class ElasticRobot(eqx.Module):
             shown = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(np.asarray(q)))
             raise ValueError(
                 f"{name}: the pose ({shown}) deg is singular: {names} can move without the tool, which cannot move in one "
-                "of its six directions. Change one of them by a degree"
+                f"of its six directions. Change {self._way_out(q, length)} by a degree"
             )
-        if self.robot.mass is None:
+        if self.robot.mass is None or self.robot.inertia is None:
             return
         mass = np.asarray(self.bodies(self.extended(q)).mass_matrix)
         scale = np.sqrt(np.abs(np.diag(mass)))
@@ -316,9 +316,17 @@ class ElasticRobot(eqx.Module):
         if values[0] <= WEIGHTLESS * values[-1]:
             names = combination(self.chain.names, vectors[:, 0])
             raise ValueError(
-                f"robot: the mass matrix is not positive definite: what {names} move has no inertia, or a negative one. "
-                "Look at mass and inertia of the links from there on"
+                f"robot: the mass matrix is not positive definite: what is moved by {names} has no inertia, or a negative "
+                "one. Look at mass and inertia of the links from there on"
             )
+
+    def _way_out(self, q, length: float) -> str:
+        """The joint that leads out of a singular pose the fastest. At an outstretched wrist it is none of those that can
+        move without the tool."""
+        nearby = np.asarray(q) + np.deg2rad(1) * np.eye(self.robot.joints)
+        jacobians = np.array([self.chain.jacobian(self.extended(one)) for one in nearby])
+        sizes = np.linalg.svd(jacobians * np.repeat([1 / length, 1.0], 3)[:, None], compute_uv=False)
+        return self.robot.names[int(np.argmax(sizes[:, 5] / sizes[:, 0]))]
 
     def _no_passive(self, what: str) -> None:
         given = concrete(self.compliance)
