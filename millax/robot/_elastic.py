@@ -289,7 +289,7 @@ class ElasticRobot(eqx.Module):
         """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix, if there is one, not positive
         definite, with the joints it is about; `name` is what messages call q. Traced numbers pass."""
         self.robot.check(q, name)
-        jacobian = concrete(self.chain.jacobian(self.extended(q)))
+        jacobian = concrete(self._jacobian(q))
         if jacobian is None:
             return
         length = float(np.linalg.norm(self.robot.ends, axis=1).sum()) or 1.0
@@ -310,7 +310,7 @@ class ElasticRobot(eqx.Module):
             )
         if self.robot.mass is None or self.robot.inertia is None:
             return
-        mass = np.asarray(self.bodies(self.extended(q)).mass_matrix)
+        mass = np.asarray(self._mass_matrix(q))
         scale = np.sqrt(np.abs(np.diag(mass)))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale) if scale.all() else mass)
         if values[0] <= WEIGHTLESS * values[-1]:
@@ -324,9 +324,19 @@ class ElasticRobot(eqx.Module):
         """The joint that leads out of a singular pose the fastest. At an outstretched wrist it is none of those that can
         move without the tool."""
         nearby = np.asarray(q) + np.deg2rad(1) * np.eye(self.robot.joints)
-        jacobians = np.array([self.chain.jacobian(self.extended(one)) for one in nearby])
+        jacobians = np.array([self._jacobian(one) for one in nearby])
         sizes = np.linalg.svd(jacobians * np.repeat([1 / length, 1.0], 3)[:, None], compute_uv=False)
         return self.robot.names[int(np.argmax(sizes[:, 5] / sizes[:, 0]))]
+
+    @eqx.filter_jit
+    def _jacobian(self, q) -> Float[Array, "6 N"]:
+        """J of the robot that nothing loads."""
+        return self.chain.jacobian(self.extended(q))
+
+    @eqx.filter_jit
+    def _mass_matrix(self, q) -> Float[Array, "N N"]:
+        """M_theta of the robot that nothing loads."""
+        return self.bodies(self.extended(q)).mass_matrix
 
     def _no_passive(self, what: str) -> None:
         given = concrete(self.compliance)
