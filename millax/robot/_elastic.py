@@ -201,7 +201,7 @@ class ElasticRobot(eqx.Module):
         an error where there is no equilibrium nearby: the loads are beyond what the springs hold.
         """
         self._no_passive("leave the loads out")
-        return self._equilibrium(q, loads)
+        return self._equilibrium(self.robot.coordinates_of(q), loads)
 
     @eqx.filter_jit
     def _equilibrium(self, q, loads):
@@ -233,7 +233,7 @@ class ElasticRobot(eqx.Module):
         """
         if loads is not None:
             self._no_passive("leave the loads out")
-        return self._at_tool(q, loads)
+        return self._at_tool(self.robot.coordinates_of(q), loads)
 
     @eqx.filter_jit
     def _at_tool(self, q, loads):
@@ -262,7 +262,7 @@ class ElasticRobot(eqx.Module):
         Raises `ValueError` for passive joints.
         """
         self._no_passive("take the stiffness")
-        return self._tool_compliance(q, loads)
+        return self._tool_compliance(self.robot.coordinates_of(q), loads)
 
     @eqx.filter_jit
     def _tool_compliance(self, q, loads):
@@ -289,6 +289,7 @@ class ElasticRobot(eqx.Module):
         """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix, if there is one, not positive
         definite, with the joints it is about; `name` is what messages call q. Traced numbers pass."""
         self.robot.check(q, name)
+        q = self.robot.coordinates_of(q)
         jacobian = concrete(self._jacobian(q))
         if jacobian is None:
             return
