@@ -226,7 +226,7 @@ def test_other_numbers_are_no_reason_to_compile_again():
     again = other.stiffness(Q * 1.01), other.stiffness(Q * 1.01, changed(LOADS, 1.01))
     assert len(TRACES) == traces
     assert all(worst(*pair) > 1e-3 for pair in zip(first, again, strict=True))
-    assert worst(robot.stiffness(list(Q)), first[0]) == 0  # a list is no other kind of number
+    assert worst(robot.stiffness(Q.tolist()), first[0]) == 0  # a list is no other kind of number
     assert len(TRACES) == traces
 
 
