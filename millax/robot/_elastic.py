@@ -371,7 +371,8 @@ def _condensed(jacobian: Float[Array, "6 N"], held: Float[Array, "N N"]) -> tupl
     The system is scaled, lengths and angles, springs and no springs, so that its solution does not lose digits.
     """
     own = jnp.abs(jnp.diag(held))
-    scale = jax.lax.stop_gradient(jnp.sqrt(jnp.where(own > 0, own, jnp.max(own))))
+    stiffest = jnp.max(own)
+    scale = jax.lax.stop_gradient(jnp.sqrt(jnp.where(own > 0, own, jnp.where(stiffest > 0, stiffest, 1.0))))
     lever = jacobian / scale
     size = jax.lax.stop_gradient(1 / jnp.linalg.norm(lever, axis=1))
     lever = size[:, None] * lever
