@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from benchmarks import frame
@@ -64,6 +65,11 @@ def any_arm(seed: int, kinds, beams, masses=True) -> ElasticRobot:
 def worst(found, expected) -> float:
     """The largest difference, over the largest number."""
     return float(np.abs(np.asarray(found) - expected).max() / np.abs(expected).max())
+
+
+def joint_frequencies(springs, mass) -> np.ndarray:
+    """Of the robot's own coordinates [Hz]."""
+    return np.sqrt(eigh(springs, mass, eigvals_only=True)) / (2 * np.pi)
 
 
 SECTIONS, PARTS = (np.polynomial.legendre.leggauss(7)[0] + 1) / 2, np.polynomial.legendre.leggauss(7)[1] / 2

@@ -8,19 +8,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arms import ARMS, COMPLIANCE, LOADS, POSES, SECTION, Q, any_arm, arm, frame_of, pinocchio_of, standing, worst
-from scipy.linalg import eigh
+from arms import (
+    ARMS,
+    COMPLIANCE,
+    LOADS,
+    POSES,
+    SECTION,
+    Q,
+    any_arm,
+    arm,
+    frame_of,
+    joint_frequencies,
+    pinocchio_of,
+    standing,
+    worst,
+)
 
 from benchmarks import frame
 from millax.robot import Beam, ElasticRobot, Loads, Payload, Placement, Robot, modal_damping, models, modes
 
 TURNING = ("revolute",) * 6
 SLIDING = ("prismatic", "revolute", "revolute", "prismatic", "revolute", "revolute", "revolute")
-
-
-def joint_frequencies(springs, mass) -> np.ndarray:
-    """Of the robot's own coordinates [Hz]."""
-    return np.sqrt(eigh(springs, mass, eigvals_only=True)) / (2 * np.pi)
 
 
 # Rigid links
