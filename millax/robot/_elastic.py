@@ -301,7 +301,7 @@ class ElasticRobot(eqx.Module):
             if springs < 6:
                 raise ValueError(
                     f"{name}: with {springs} springs the tool gives way in {springs} of its six directions only; give "
-                    "elastic links (beams)"
+                    "elastic links (in Python: beams)"
                 )
             names = combination(self.chain.names, motions[5])
             shown = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(np.asarray(q)))
