@@ -13,6 +13,7 @@ from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range
 from ._caseleaves import labels
 from ._forces import ExponentialLaw
 from ._units import parse, show
+from .robot._chain import ROUNDING
 
 Number = float | str
 """A number in SI units, or a text with a unit: 0.018, "18 um"."""
@@ -63,13 +64,26 @@ def replace(case: Case, values: Mapping[str, Array]) -> Case:
 
 def _quantity(case: Case, name: str) -> Quantity:
     """What the table of case-file keys says about a number."""
-    section, key, _ = _place(case, name)
+    section, key, index = _place(case, name)
     quantity = (FORCE[_law(case)] if section == "force" else SECTIONS[section]).keys[key]
     assert isinstance(quantity, Quantity)
     if (section, key) == ("structure", "stiffness") and quantity.range == Range():
         # A matrix may hold negative entries; the numbers that have names are diagonal, and those hold the tool.
         return dataclasses.replace(quantity, range=POSITIVE)
+    if (section, key) == ("robot", "joints"):
+        return dataclasses.replace(quantity, range=_limits(case, index[0]))
     return quantity
+
+
+def _limits(case: Case, joint: int) -> Range:
+    """Between which angles the drive of a joint goes, where that is known."""
+    arm = case.robot
+    assert arm is not None
+    lower, upper = arm.robot.lower, arm.robot.upper
+    if lower is None or upper is None:
+        return Range()
+    low, high = float(lower[joint]), float(upper[joint])
+    return Range(low - ROUNDING * abs(low), high + ROUNDING * abs(high))
 
 
 def _table(case: Case) -> dict[str, float]:
