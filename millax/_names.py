@@ -150,18 +150,20 @@ def _place(case: Case, name: str) -> Place:
     members = [known for known in places if known.startswith(f"{name}.")]
     shapes = {f"{section}.{key}": np.shape(leaf) for (section, key), leaf in _leaves(case).items()}
     if len(shapes.get(whole, ())) == 2:
-        raise ValueError(
-            f"{name}: the case gives {whole} as a matrix, whose entries have no names; give one number per axis"
-        )
+        way_out = "; give one number per axis" if whole.startswith("structure.") else ""
+        raise ValueError(f"{name}: the case gives {whole} as a matrix, whose entries have no names{way_out}")
     if members:
+        one = name.startswith("structure.") or name == "robot.damping_ratio"
+        way_out = ", or give one number for all in the case" if one else ""
         raise ValueError(
-            f"{name}: the case gives {len(members)} numbers; name them one by one: {', '.join(members)}, or give one number "
-            "for all in the case"
+            f"{name}: the case gives {len(members)} numbers; name them one by one: {', '.join(members)}{way_out}"
         )
     if whole in places:
+        each = "mode" if whole == "robot.damping_ratio" else "axis"
+        every = {"mode": "modes", "axis": "axes"}[each]
         raise ValueError(
-            f"{name}: the case gives one number for all axes; name it {whole}, or give a list with one number per axis in "
-            "the case"
+            f"{name}: the case gives one number for all {every}; name it {whole}, or give a list with one number per {each} "
+            "in the case"
         )
     near = difflib.get_close_matches(name, places, n=1, cutoff=0.5)
     suggestion = f"did you mean {near[0]}?" if near else "this is no number of the case."
