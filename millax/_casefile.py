@@ -273,7 +273,8 @@ def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
 
 def _read(name: str, section: Section, table: Mapping[str, Any] | None) -> dict[str, Any]:
     """The values of the table called `name`, in SI. Raises `ValueError`."""
-    takes = f"\n  [{name}] takes: {section}"
+    inner = [f"[{name}.{table}]" for table in _inner(name)]
+    takes = f"\n  [{name}] takes: {section}" + (f"; and the tables {', '.join(inner)}" if inner else "")
     if table is not None and not isinstance(table, Mapping):
         raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
     if table is None:
