@@ -141,12 +141,9 @@ class Arm(eqx.Module):
         """Raise `ValueError` for a pose beyond the limits or singular, a robot without masses, and a mass or stiffness
         matrix that is not positive definite. Traced numbers pass."""
         self.elastic.check(self.joints, "robot.joints")
-        try:
-            stiffness = concrete(self.structure().stiffness)
-        except eqx.EquinoxRuntimeError:  # of the root finder
-            raise ValueError(
-                "robot.loads: no equilibrium found; they are beyond what springs of robot.compliance hold"
-            ) from None
+        stiffness = concrete(self.structure().stiffness)
+        if stiffness is not None and np.isnan(stiffness).any():
+            raise ValueError("robot.loads: no equilibrium found; they are beyond what springs of robot.compliance hold")
         if stiffness is not None and not np.linalg.eigvalsh((stiffness + stiffness.T) / 2)[0] > 0:
             raise ValueError(
                 "robot.loads: under them the robot does not stand; in some direction its stiffness is not positive"

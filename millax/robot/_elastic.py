@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
+from jax import lax
 from jaxtyping import Array, Float
 
 from .._check import concrete, finite
@@ -19,6 +19,9 @@ in arm lengths. Its stiffness would be greater by the square of it."""
 
 WEIGHTLESS = 1e-12
 """A mass matrix with such a ratio of eigenvalues, its diagonal scaled to 1, is not positive definite."""
+
+NEWTON_STEPS = 50
+"""At most, to an equilibrium. Loads that a robot carries take three."""
 
 
 class Loads(eqx.Module):
@@ -198,21 +201,19 @@ class ElasticRobot(eqx.Module):
         - `loads`: what loads the robot.
 
         Differentiable, by the implicit function theorem. Raises `ValueError` for passive joints, which hold nothing, and
-        an error where there is no equilibrium nearby: the loads are beyond what the springs hold.
+        where there is no equilibrium nearby: the loads are beyond what the springs hold. Traced, it is NaN there.
         """
         self._no_passive("leave the loads out")
-        return self._equilibrium(self.robot.coordinates_of(q), loads)
+        return _found(self._equilibrium(self.robot.coordinates_of(q), loads), loads)
 
     @eqx.filter_jit
     def _equilibrium(self, q, loads):
         rest, springs = self.extended(q), self.springs
 
-        def left(theta, robot):
-            return theta - jnp.linalg.solve(springs, robot.load(rest + theta, loads))
+        def left(theta):
+            return theta - jnp.linalg.solve(springs, self.load(rest + theta, loads))
 
-        solver = optx.Newton(rtol=1e-10, atol=1e-14)
-        found = optx.root_find(left, solver, jnp.zeros_like(rest), args=self, max_steps=50, throw=True)
-        return rest + found.value
+        return rest + _root(left, jnp.zeros_like(rest))
 
     def load(self, x: Float[Array, " N"], loads: Loads) -> Float[Array, " N"]:
         """J_G^T G + J_F^T F (C 5): what gravity and the wrench on the tool load the N coordinates with at x."""
@@ -233,7 +234,9 @@ class ElasticRobot(eqx.Module):
         """
         if loads is not None:
             self._no_passive("leave the loads out")
-        return self._at_tool(self.robot.coordinates_of(q), loads)
+        at = self._at_tool(self.robot.coordinates_of(q), loads)
+        _found(at.coordinates, loads)
+        return at
 
     @eqx.filter_jit
     def _at_tool(self, q, loads):
@@ -259,10 +262,10 @@ class ElasticRobot(eqx.Module):
     def tool_compliance(self, q: Float[Array, " n"], loads: Loads | None = None) -> Float[Array, "6 6"]:
         """K_C^-1 = J (K_theta - H)^-1 J^T [m/N, rad/(N m)]: there also at singular poses. **Arguments:** as of `at_tool`.
 
-        Raises `ValueError` for passive joints.
+        Raises `ValueError` for passive joints, and what `equilibrium` raises.
         """
         self._no_passive("take the stiffness")
-        return self._tool_compliance(self.robot.coordinates_of(q), loads)
+        return _found(self._tool_compliance(self.robot.coordinates_of(q), loads), loads)
 
     @eqx.filter_jit
     def _tool_compliance(self, q, loads):
@@ -362,6 +365,35 @@ class AtTool(eqx.Module):
     def mass(self, robot: ElasticRobot) -> Float[Array, "6 6"]:
         """M_C = B^T M_theta B."""
         return self.follow.T @ robot.bodies(self.coordinates).mass_matrix @ self.follow
+
+
+def _root(function, start: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Where a function is zero near `start`, by Newton's method; NaN where it finds no such place."""
+
+    def excess(state):  # of the last step, over one that may be the last
+        at, step, _ = state
+        # The next step would be some square of this one.
+        return jnp.max(jnp.abs(step)) - jnp.finfo(start.dtype).eps ** 0.75 * jnp.max(jnp.abs(at))
+
+    def newton(function, start):
+        def step(state):
+            at, _, steps = state
+            change = jnp.linalg.solve(jax.jacfwd(function)(at), function(at))
+            return at - change, change, steps + 1
+
+        begin = start, jnp.full_like(start, jnp.inf), 0
+        end = lax.while_loop(lambda state: (excess(state) > 0) & (state[2] < NEWTON_STEPS), step, begin)
+        return jnp.where(excess(end) <= 0, end[0], jnp.nan)
+
+    return lax.custom_root(function, start, newton, lambda f, y: jnp.linalg.solve(jax.jacfwd(f)(y), y))
+
+
+def _found(values: Array, loads: Loads | None) -> Array:
+    """`values`, if there is an equilibrium with the loads. Raises `ValueError`."""
+    given = None if loads is None else concrete(values)
+    if given is not None and np.isnan(given).any():
+        raise ValueError("loads: no equilibrium found near q; they are beyond what the springs hold")
+    return values
 
 
 def _condensed(jacobian: Float[Array, "6 N"], held: Float[Array, "N N"]) -> tuple[Array, Array]:
