@@ -16,6 +16,8 @@ from ._modes import modal_damping
 UNITS = {"xyz": "m", "rpy": "rad", "mass": "kg", "centre_of_mass": "m", "inertia": "kg m²"}
 """Of what is known of a spindle."""
 
+NO_EQUILIBRIUM = "robot.loads: no equilibrium found; they are beyond what springs of robot.compliance hold"
+
 
 class Spindle(eqx.Module):
     """What the flange carries: where the tool centre point is, and what spindle and tool weigh.
@@ -143,7 +145,7 @@ class Arm(eqx.Module):
         self.elastic.check(self.joints, "robot.joints")
         stiffness = concrete(self.structure().stiffness)
         if stiffness is not None and np.isnan(stiffness).any():
-            raise ValueError("robot.loads: no equilibrium found; they are beyond what springs of robot.compliance hold")
+            raise ValueError(NO_EQUILIBRIUM)
         if stiffness is not None and not np.linalg.eigvalsh((stiffness + stiffness.T) / 2)[0] > 0:
             raise ValueError(
                 "robot.loads: under them the robot does not stand; in some direction its stiffness is not positive"
