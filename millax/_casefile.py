@@ -201,6 +201,13 @@ def _arm(folder: Path, given: dict[str, Any], tool: dict[str, Any], loads: dict[
         if len(mass) != robot.joints:
             raise ValueError(f"robot.link_mass: {len(mass)} numbers given; the robot has {robot.joints} links")
         robot = robot.with_rods(thickness, mass)
+    unknown = {"mass": "masses", "centre_of_mass": "centres of mass", "inertia": "inertia"}
+    if missing := [words for name, words in unknown.items() if getattr(robot, name) is None]:
+        source = "a table of lengths and angles" if dh is not None else show(model if urdf is None else urdf)
+        raise ValueError(
+            f"robot: {source} gives no {', no '.join(missing)} of links; give robot.link_mass and robot.link_thickness for "
+            "links as rods"
+        )
     arm = Arm(robot, **given, tool=Spindle(**tool) if tool else None, loads=Loads(**loads) if loads else None)
     arm.check()
     return arm
@@ -280,7 +287,8 @@ def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
 
 def _read(name: str, section: Section, table: Mapping[str, Any] | None) -> dict[str, Any]:
     """The values of the table called `name`, in SI. Raises `ValueError`."""
-    takes = f"\n  [{name}] takes: {section}"
+    inner = [f"[{name}.{table}]" for table in _inner(name)]
+    takes = f"\n  [{name}] takes: {section}" + (f"; and the tables {', '.join(inner)}" if inner else "")
     if table is not None and not isinstance(table, Mapping):
         raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
     if table is None:

@@ -13,6 +13,7 @@ from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range
 from ._caseleaves import labels
 from ._forces import ExponentialLaw
 from ._units import parse, show
+from .robot._chain import ROUNDING
 
 Number = float | str
 """A number in SI units, or a text with a unit: 0.018, "18 um"."""
@@ -63,13 +64,26 @@ def replace(case: Case, values: Mapping[str, Array]) -> Case:
 
 def _quantity(case: Case, name: str) -> Quantity:
     """What the table of case-file keys says about a number."""
-    section, key, _ = _place(case, name)
+    section, key, index = _place(case, name)
     quantity = (FORCE[_law(case)] if section == "force" else SECTIONS[section]).keys[key]
     assert isinstance(quantity, Quantity)
     if (section, key) == ("structure", "stiffness") and quantity.range == Range():
         # A matrix may hold negative entries; the numbers that have names are diagonal, and those hold the tool.
         return dataclasses.replace(quantity, range=POSITIVE)
+    if (section, key) == ("robot", "joints"):
+        return dataclasses.replace(quantity, range=_limits(case, index[0]))
     return quantity
+
+
+def _limits(case: Case, joint: int) -> Range:
+    """Between which angles the drive of a joint goes, where that is known."""
+    arm = case.robot
+    assert arm is not None
+    lower, upper = arm.robot.lower, arm.robot.upper
+    if lower is None or upper is None:
+        return Range()
+    low, high = float(lower[joint]), float(upper[joint])
+    return Range(low - ROUNDING * abs(low), high + ROUNDING * abs(high))
 
 
 def _table(case: Case) -> dict[str, float]:
@@ -136,18 +150,20 @@ def _place(case: Case, name: str) -> Place:
     members = [known for known in places if known.startswith(f"{name}.")]
     shapes = {f"{section}.{key}": np.shape(leaf) for (section, key), leaf in _leaves(case).items()}
     if len(shapes.get(whole, ())) == 2:
-        raise ValueError(
-            f"{name}: the case gives {whole} as a matrix, whose entries have no names; give one number per axis"
-        )
+        way_out = "; give one number per axis" if whole.startswith("structure.") else ""
+        raise ValueError(f"{name}: the case gives {whole} as a matrix, whose entries have no names{way_out}")
     if members:
+        one = name.startswith("structure.") or name == "robot.damping_ratio"
+        way_out = ", or give one number for all in the case" if one else ""
         raise ValueError(
-            f"{name}: the case gives {len(members)} numbers; name them one by one: {', '.join(members)}, or give one number "
-            "for all in the case"
+            f"{name}: the case gives {len(members)} numbers; name them one by one: {', '.join(members)}{way_out}"
         )
     if whole in places:
+        each = "mode" if whole == "robot.damping_ratio" else "axis"
+        every = {"mode": "modes", "axis": "axes"}[each]
         raise ValueError(
-            f"{name}: the case gives one number for all axes; name it {whole}, or give a list with one number per axis in "
-            "the case"
+            f"{name}: the case gives one number for all {every}; name it {whole}, or give a list with one number per {each} "
+            "in the case"
         )
     near = difflib.get_close_matches(name, places, n=1, cutoff=0.5)
     suggestion = f"did you mean {near[0]}?" if near else "this is no number of the case."

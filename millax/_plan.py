@@ -21,6 +21,7 @@ from ._case import Case
 from ._gain import IN_BATCH, SPARE, gain_kernel, sweeps_needed
 from ._members import SPINDLE_SPEED, Members, member
 from ._settings import MOST_STEPS, block_options, fastest_rate, require_resolved
+from .robot._arm import NO_EQUILIBRIUM
 
 LADDER = 1.1
 """Largest ratio of the lengths of simulation that are in one group from the start."""
@@ -59,10 +60,14 @@ class Plan:
 def plan(case: Case, members: Members) -> Plan:
     """Plan the simulation of `members`: each for the duration of `case`, in whole tooth periods.
 
-    Raises `ValueError` where the time steps cannot resolve the fastest mode of a member, or a trace would be too long.
+    Raises `ValueError` where the time steps cannot resolve the fastest mode of a member, a trace would be too long, or the
+    springs of a robot do not hold its loads.
     """
     tooth_period, shortest, kernel, *matrices = _features(case, members)
     steps = case.settings.steps_per_tooth
+    if matrices and not (held := np.isfinite(np.stack(matrices)).all(axis=(0, 2, 3))).all():
+        words = members.words(int(np.argmin(held)))
+        raise ValueError(f"the member with {words}: {NO_EQUILIBRIUM}")
     fastest = fastest_rate(*matrices) if matrices else np.zeros(len(members))
     hardest = int(np.argmax(fastest * tooth_period))
     try:

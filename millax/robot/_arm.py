@@ -9,9 +9,14 @@ from .._check import concrete, finite, not_negative
 from .._structure import Structure
 from .._types import AXES, Scalar, as_number, optional
 from ._beam import Beam
-from ._chain import Payload, Placement, Robot
+from ._chain import Payload, Placement, Robot, symmetric
 from ._elastic import ElasticRobot, Loads
 from ._modes import modal_damping
+
+UNITS = {"xyz": "m", "rpy": "rad", "mass": "kg", "centre_of_mass": "m", "inertia": "kg m²"}
+"""Of what is known of a spindle."""
+
+NO_EQUILIBRIUM = "robot.loads: no equilibrium found; they are beyond what springs of robot.compliance hold"
 
 
 class Spindle(eqx.Module):
@@ -23,7 +28,10 @@ class Spindle(eqx.Module):
       its z axis that of the spindle and points out of it, towards the workpiece.
     - `mass`: [kg], >= 0.
     - `centre_of_mass`: in the frame of the flange [m], shape (3,).
-    - `inertia`: about the centre of mass, in the axes of the flange [kg m²], shape (3, 3). Default: that of a point.
+    - `inertia`: about the centre of mass, in the axes of the flange [kg m²], shape (3, 3), symmetric. Default: that of a
+      point.
+
+    Raises `ValueError` for other shapes, and numbers out of these ranges.
     """
 
     xyz: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
@@ -31,6 +39,14 @@ class Spindle(eqx.Module):
     mass: Scalar = eqx.field(converter=as_number, default=0.0)
     centre_of_mass: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
     inertia: Float[Array, "3 3"] = eqx.field(converter=as_number, default_factory=lambda: np.zeros((3, 3)))
+
+    def __check_init__(self):
+        for name, shape in (("xyz", (3,)), ("rpy", (3,)), ("mass", ()), ("centre_of_mass", (3,)), ("inertia", (3, 3))):
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise ValueError(f"robot.tool.{name}: shape {value.shape} given; it must be {shape}")
+            (not_negative if name == "mass" else finite)(f"robot.tool.{name}", value, UNITS[name])
+        symmetric("robot.tool.inertia", self.inertia)
 
     def on(self, robot: Robot) -> Robot:
         """`robot` with this on its flange, in place of its own tool and payload."""
@@ -128,6 +144,8 @@ class Arm(eqx.Module):
         matrix that is not positive definite. Traced numbers pass."""
         self.elastic.check(self.joints, "robot.joints")
         stiffness = concrete(self.structure().stiffness)
+        if stiffness is not None and np.isnan(stiffness).any():
+            raise ValueError(NO_EQUILIBRIUM)
         if stiffness is not None and not np.linalg.eigvalsh((stiffness + stiffness.T) / 2)[0] > 0:
             raise ValueError(
                 "robot.loads: under them the robot does not stand; in some direction its stiffness is not positive"

@@ -50,8 +50,13 @@ class Beam(eqx.Module):
             ("young", "Pa"),
             ("shear", "Pa"),
         ):
-            positive(f"beam.{name}", getattr(self, name), unit)
+            value = getattr(self, name)
+            if value.shape != ():
+                raise ValueError(f"beam.{name}: shape {value.shape} given; it must be one number")
+            positive(f"beam.{name}", value, unit)
         if self.side is not None:
+            if self.side.shape != (3,):
+                raise ValueError(f"beam.side: shape {self.side.shape} given; it must be (3,), a direction")
             finite("beam.side", self.side, "")
             return
         moments = concrete(self.second_moment_y), concrete(self.second_moment_z)

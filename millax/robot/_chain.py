@@ -34,6 +34,13 @@ def rotation_of(rpy, xp: Any = np):
     return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def symmetric(name: str, inertia) -> None:
+    """Raise `ValueError` for matrices (..., 3, 3) that are not symmetric, but for rounding in a file."""
+    given = concrete(inertia)
+    if given is not None and np.abs(given - np.swapaxes(given, -2, -1)).max() > 1e-5 * np.abs(given).max():
+        raise ValueError(f"{name}: a matrix given is not symmetric; inertia always is")
+
+
 class Frames(NamedTuple):
     """Frames in another one, of JAX or of NumPy: axes as the columns of `rotation`, shape (..., 3, 3) [-]; origins
     `position`, (..., 3) [m]."""
@@ -100,7 +107,8 @@ class Payload(eqx.Module):
 
     - `mass`: [kg], >= 0.
     - `centre_of_mass`: in the frame of the flange [m], shape (3,).
-    - `inertia`: about the centre of mass, in the axes of the flange [kg m²], shape (3, 3). Default: that of a point.
+    - `inertia`: about the centre of mass, in the axes of the flange [kg m²], shape (3, 3), symmetric. Default: that of a
+      point.
     """
 
     mass: Float[Array, ""] = eqx.field(converter=as_number)
@@ -113,6 +121,7 @@ class Payload(eqx.Module):
             if value.shape != shape:
                 raise ValueError(f"payload.{name}: shape {value.shape} given; it must be {shape}")
             (not_negative if name == "mass" else finite)(f"payload.{name}", value, unit)
+        symmetric("payload.inertia", self.inertia)
 
 
 class Robot(eqx.Module):
@@ -200,9 +209,8 @@ class Robot(eqx.Module):
             short = self.names[int(np.argmin(axis.any(axis=1)))]
             raise ValueError(f"robot.axis: that of {short} has no length; it must be a direction, such as (0, 0, 1)")
         self._check_limits()
-        inertia = None if self.inertia is None else concrete(self.inertia)
-        if inertia is not None and np.abs(inertia - np.swapaxes(inertia, 1, 2)).max() > 1e-5 * np.abs(inertia).max():
-            raise ValueError("robot.inertia: a matrix given is not symmetric; inertia always is")
+        if self.inertia is not None:
+            symmetric("robot.inertia", self.inertia)
 
     def _check_limits(self) -> None:
         if (self.lower is None) != (self.upper is None):

@@ -4,11 +4,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax import lax
 from jaxtyping import Array, Float
 
 from .._check import concrete, finite
-from .._types import as_number
+from .._types import as_number, optional
 from ._beam import MOTIONS, POINTS, WEIGHTS, Beam, shapes
 from ._chain import Bodies, Placement, Robot
 from ._modes import Modes, combination, modes
@@ -20,6 +20,9 @@ in arm lengths. Its stiffness would be greater by the square of it."""
 WEIGHTLESS = 1e-12
 """A mass matrix with such a ratio of eigenvalues, its diagonal scaled to 1, is not positive definite."""
 
+NEWTON_STEPS = 50
+"""At most, to an equilibrium. Loads that a robot carries take three."""
+
 
 class Loads(eqx.Module):
     """What loads a robot while it stands still. In the axes of the base frame.
@@ -28,16 +31,18 @@ class Loads(eqx.Module):
 
     - `force`: on the tool centre point [N], shape (3,).
     - `moment`: on the tool, about that point [N m], shape (3,). It keeps its direction when the tool turns.
-    - `gravity`: g [m/s²], shape (3,): (0, 0, -9.81) on a floor. Default: none.
+    - `gravity`: g [m/s²], shape (3,): (0, 0, -9.81) on a floor. None: none, and the robot needs no masses.
     """
 
     force: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
     moment: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
-    gravity: Float[Array, " 3"] = eqx.field(converter=as_number, default=(0.0, 0.0, 0.0))
+    gravity: Float[Array, " 3"] | None = eqx.field(converter=optional, default=None)
 
     def __check_init__(self):
         for name, unit in (("force", "N"), ("moment", "N m"), ("gravity", "m/s²")):
             value = getattr(self, name)
+            if value is None:
+                continue
             if value.shape != (3,):
                 raise ValueError(f"loads.{name}: shape {value.shape} given; it must be (3,), along x, y and z")
             finite(f"loads.{name}", value, unit)
@@ -196,28 +201,24 @@ class ElasticRobot(eqx.Module):
         - `loads`: what loads the robot.
 
         Differentiable, by the implicit function theorem. Raises `ValueError` for passive joints, which hold nothing, and
-        an error where there is no equilibrium nearby: the loads are beyond what the springs hold.
+        where there is no equilibrium nearby: the loads are beyond what the springs hold. Traced, it is NaN there.
         """
         self._no_passive("leave the loads out")
-        return self._equilibrium(q, loads)
+        return _found(self._equilibrium(self.robot.coordinates_of(q), loads), loads)
 
     @eqx.filter_jit
     def _equilibrium(self, q, loads):
-        import optimistix as optx  # takes longer to import than all of millax, and most need no equilibrium
-
         rest, springs = self.extended(q), self.springs
 
-        def left(theta, robot):
-            return theta - jnp.linalg.solve(springs, robot.load(rest + theta, loads))
+        def left(theta):
+            return theta - jnp.linalg.solve(springs, self.load(rest + theta, loads))
 
-        solver = optx.Newton(rtol=1e-10, atol=1e-14)
-        found = optx.root_find(left, solver, jnp.zeros_like(rest), args=self, max_steps=50, throw=True)
-        return rest + found.value
+        return rest + _root(left, jnp.zeros_like(rest))
 
     def load(self, x: Float[Array, " N"], loads: Loads) -> Float[Array, " N"]:
         """J_G^T G + J_F^T F (C 5): what gravity and the wrench on the tool load the N coordinates with at x."""
         wrench = self.chain.jacobian(x).T @ loads.wrench
-        if self.robot.mass is None and not _any(loads.gravity):
+        if loads.gravity is None:
             return wrench
         return wrench + self.bodies(x).weight(loads.gravity)
 
@@ -233,7 +234,9 @@ class ElasticRobot(eqx.Module):
         """
         if loads is not None:
             self._no_passive("leave the loads out")
-        return self._at_tool(q, loads)
+        at = self._at_tool(self.robot.coordinates_of(q), loads)
+        _found(at.coordinates, loads)
+        return at
 
     @eqx.filter_jit
     def _at_tool(self, q, loads):
@@ -259,10 +262,10 @@ class ElasticRobot(eqx.Module):
     def tool_compliance(self, q: Float[Array, " n"], loads: Loads | None = None) -> Float[Array, "6 6"]:
         """K_C^-1 = J (K_theta - H)^-1 J^T [m/N, rad/(N m)]: there also at singular poses. **Arguments:** as of `at_tool`.
 
-        Raises `ValueError` for passive joints.
+        Raises `ValueError` for passive joints, and what `equilibrium` raises.
         """
         self._no_passive("take the stiffness")
-        return self._tool_compliance(q, loads)
+        return _found(self._tool_compliance(self.robot.coordinates_of(q), loads), loads)
 
     @eqx.filter_jit
     def _tool_compliance(self, q, loads):
@@ -286,10 +289,11 @@ class ElasticRobot(eqx.Module):
         return modes(at.mass(self), at.stiffness)
 
     def check(self, q: Float[Array, " n"], name: str = "q") -> None:
-        """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix is not positive definite, with the
-        joints it is about; `name` is what messages call q. Traced numbers pass."""
+        """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix, if there is one, not positive
+        definite, with the joints it is about; `name` is what messages call q. Traced numbers pass."""
         self.robot.check(q, name)
-        jacobian = concrete(self.chain.jacobian(self.extended(q)))
+        q = self.robot.coordinates_of(q)
+        jacobian = concrete(self._jacobian(q))
         if jacobian is None:
             return
         length = float(np.linalg.norm(self.robot.ends, axis=1).sum()) or 1.0
@@ -300,25 +304,43 @@ class ElasticRobot(eqx.Module):
             if springs < 6:
                 raise ValueError(
                     f"{name}: with {springs} springs the tool gives way in {springs} of its six directions only; give "
-                    "elastic links (beams)"
+                    "elastic links (in Python: beams)"
                 )
             names = combination(self.chain.names, motions[5])
             shown = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(np.asarray(q)))
             raise ValueError(
                 f"{name}: the pose ({shown}) deg is singular: {names} can move without the tool, which cannot move in one "
-                "of its six directions. Change one of them by a degree"
+                f"of its six directions. Change {self._way_out(q, length)} by a degree"
             )
-        if self.robot.mass is None:
+        if self.robot.mass is None or self.robot.inertia is None:
             return
-        mass = np.asarray(self.bodies(self.extended(q)).mass_matrix)
+        mass = np.asarray(self._mass_matrix(q))
         scale = np.sqrt(np.abs(np.diag(mass)))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale) if scale.all() else mass)
         if values[0] <= WEIGHTLESS * values[-1]:
             names = combination(self.chain.names, vectors[:, 0])
             raise ValueError(
-                f"robot: the mass matrix is not positive definite: what {names} move has no inertia, or a negative one. "
-                "Look at mass and inertia of the links from there on"
+                f"robot: the mass matrix is not positive definite: what is moved by {names} has no inertia, or a negative "
+                "one. Look at mass and inertia of the links from there on"
             )
+
+    def _way_out(self, q, length: float) -> str:
+        """The joint that leads out of a singular pose the fastest. At an outstretched wrist it is none of those that can
+        move without the tool."""
+        nearby = np.asarray(q) + np.deg2rad(1) * np.eye(self.robot.joints)
+        jacobians = np.array([self._jacobian(one) for one in nearby])
+        sizes = np.linalg.svd(jacobians * np.repeat([1 / length, 1.0], 3)[:, None], compute_uv=False)
+        return self.robot.names[int(np.argmax(sizes[:, 5] / sizes[:, 0]))]
+
+    @eqx.filter_jit
+    def _jacobian(self, q) -> Float[Array, "6 N"]:
+        """J of the robot that nothing loads."""
+        return self.chain.jacobian(self.extended(q))
+
+    @eqx.filter_jit
+    def _mass_matrix(self, q) -> Float[Array, "N N"]:
+        """M_theta of the robot that nothing loads."""
+        return self.bodies(self.extended(q)).mass_matrix
 
     def _no_passive(self, what: str) -> None:
         given = concrete(self.compliance)
@@ -345,6 +367,39 @@ class AtTool(eqx.Module):
         return self.follow.T @ robot.bodies(self.coordinates).mass_matrix @ self.follow
 
 
+def _root(function, start: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Where a function is zero near `start`, by Newton's method; NaN where it finds no such place.
+
+    Not optimistix's, which the tests compare with: that ends a whole batch where one member has no equilibrium, and cannot
+    be used in programs that are spread over cores.
+    """
+
+    def excess(state):  # of the last step, over one that may be the last
+        at, step, _ = state
+        # The next step would be some square of this one.
+        return jnp.max(jnp.abs(step)) - jnp.finfo(start.dtype).eps ** 0.75 * jnp.max(jnp.abs(at))
+
+    def newton(function, start):
+        def step(state):
+            at, _, steps = state
+            change = jnp.linalg.solve(jax.jacfwd(function)(at), function(at))
+            return at - change, change, steps + 1
+
+        begin = start, jnp.full_like(start, jnp.inf), 0
+        end = lax.while_loop(lambda state: (excess(state) > 0) & (state[2] < NEWTON_STEPS), step, begin)
+        return jnp.where(excess(end) <= 0, end[0], jnp.nan)
+
+    return lax.custom_root(function, start, newton, lambda f, y: jnp.linalg.solve(jax.jacfwd(f)(y), y))
+
+
+def _found(values: Array, loads: Loads | None) -> Array:
+    """`values`, if there is an equilibrium with the loads. Raises `ValueError`."""
+    given = None if loads is None else concrete(values)
+    if given is not None and np.isnan(given).any():
+        raise ValueError("loads: no equilibrium found near q; they are beyond what the springs hold")
+    return values
+
+
 def _condensed(jacobian: Float[Array, "6 N"], held: Float[Array, "N N"]) -> tuple[Array, Array]:
     """K_C and B from [0 J; J^T -(K_theta - H)] [dF; dtheta] = [dt; 0] (C 16): also where some coordinates have no spring
     (E 18-20), and K_C then is singular.
@@ -352,7 +407,8 @@ def _condensed(jacobian: Float[Array, "6 N"], held: Float[Array, "N N"]) -> tupl
     The system is scaled, lengths and angles, springs and no springs, so that its solution does not lose digits.
     """
     own = jnp.abs(jnp.diag(held))
-    scale = jax.lax.stop_gradient(jnp.sqrt(jnp.where(own > 0, own, jnp.max(own))))
+    stiffest = jnp.max(own)
+    scale = jax.lax.stop_gradient(jnp.sqrt(jnp.where(own > 0, own, jnp.where(stiffest > 0, stiffest, 1.0))))
     lever = jacobian / scale
     size = jax.lax.stop_gradient(1 / jnp.linalg.norm(lever, axis=1))
     lever = size[:, None] * lever
@@ -360,7 +416,3 @@ def _condensed(jacobian: Float[Array, "6 N"], held: Float[Array, "N N"]) -> tupl
     right = jnp.concatenate([jnp.diag(size), jnp.zeros((len(held), 6))])
     found = jnp.linalg.solve(system, right)
     return size[:, None] * found[:6], found[6:] / scale[:, None]
-
-
-def _any(value) -> bool:
-    return isinstance(value, Tracer) or bool(jnp.any(value != 0))

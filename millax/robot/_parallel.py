@@ -15,6 +15,10 @@ from ._modes import Modes, modes
 APART = 1e-6
 """How far the ends of two legs may be from each other [m], [rad]."""
 
+LOOSE = 1e-12
+"""A platform moves by itself where it is so much less stiff than in another direction, turns counted in lengths of a leg:
+rounding."""
+
 
 class ParallelRobot(eqx.Module):
     """Legs that end at one tool: each is an `ElasticRobot` from the base to the tool, with passive joints (infinite
@@ -39,6 +43,7 @@ class ParallelRobot(eqx.Module):
 
     def at_tool(self, q: Sequence[Float[Array, " n"]]) -> tuple[AtTool, ...]:
         """What the tool feels of each leg. **Arguments:** as of `stiffness`."""
+        self._same_number(q)
         return tuple(leg.at_tool(own) for leg, own in zip(self.legs, q, strict=True))
 
     def stiffness(self, q: Sequence[Float[Array, " n"]]) -> Float[Array, "6 6"]:
@@ -61,10 +66,9 @@ class ParallelRobot(eqx.Module):
         return modes(self.mass(q), self.stiffness(q))
 
     def check(self, q: Sequence[Float[Array, " n"]]) -> None:
-        """Raise `ValueError` for coordinates beyond limits, legs that do not end at the same tool frame or cannot follow the
-        tool, and a platform that moves without a spring giving way. Traced numbers pass."""
-        if len(q) != len(self.legs):
-            raise ValueError(f"q: given for {len(q)} legs; the robot has {len(self.legs)}")
+        """Raise `ValueError` for coordinates beyond limits, legs that do not end at the same tool frame, cannot follow the
+        tool or move by themselves, and a platform that moves without a spring giving way. Traced numbers pass."""
+        self._same_number(q)
         if any(concrete(leaf) is None for leaf in jax.tree.leaves((self, tuple(q)))):
             return
         poses = []
@@ -77,18 +81,29 @@ class ParallelRobot(eqx.Module):
                     f"q: leg {i + 1} ends {away:.2g} (m, or parts of 1 of a direction) from where leg 1 does; give "
                     "coordinates at which all legs meet"
                 )
-            size = _sizes(np.asarray(leg.chain.jacobian(leg.extended(own))), leg)
+            jacobian = np.repeat([1 / _length(leg), 1.0], 3)[:, None] * leg.chain.jacobian(leg.extended(own))
+            size = np.linalg.svd(jacobian, compute_uv=False)
             if len(size) < 6 or size[-1] <= SINGULAR * size[0]:
                 raise ValueError(
                     f"q: leg {i + 1} cannot follow the tool in all six directions; free it there by springs, beams or "
                     "passive joints, or change the pose"
                 )
-        stiffness = np.asarray(self.stiffness(q))
-        scale = np.sqrt(np.abs(np.diag(stiffness)))
-        if not scale.all() or np.linalg.eigvalsh(stiffness / np.outer(scale, scale))[0] <= SINGULAR:
+            passive = jacobian[:, leg.places[np.isinf(leg.compliance)]]
+            if passive.size and np.linalg.matrix_rank(passive, SINGULAR * size[0]) < passive.shape[1]:
+                raise ValueError(
+                    f"q: the passive joints of leg {i + 1} can move while the tool rests; give one of them a spring, or "
+                    "leave it out"
+                )
+        lengths = np.repeat([max(map(_length, self.legs)), 1.0], 3)
+        values = np.linalg.eigvalsh(lengths[:, None] * np.asarray(self.stiffness(q)) * lengths)
+        if values[0] <= LOOSE * values[-1]:
             raise ValueError("q: the platform can move without any spring giving way: too few springs, or a singular pose")
 
+    def _same_number(self, q) -> None:
+        if len(q) != len(self.legs):
+            raise ValueError(f"q: given for {len(q)} legs; the robot has {len(self.legs)}")
 
-def _sizes(jacobian: np.ndarray, leg: ElasticRobot) -> np.ndarray:
-    length = float(np.linalg.norm(leg.robot.ends, axis=1).sum()) or 1.0
-    return np.linalg.svd(jacobian * np.repeat([1 / length, 1.0], 3)[:, None], compute_uv=False)
+
+def _length(leg: ElasticRobot) -> float:
+    """How long a leg is, without what its slides add [m]; 1 for one without any length."""
+    return float(np.linalg.norm(leg.robot.ends, axis=1).sum()) or 1.0
