@@ -12,15 +12,16 @@ from typing import Any
 import jax.numpy as jnp
 
 from ._case import Case
-from ._casekeys import FORCE, LAWS, MODELS, OTHER_TABLES, SECTIONS, Section, table_of
+from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Section, table_of
 from ._caseleaves import Leaf, leaves, rewrite
+from ._caserobot import arm_of
 from ._cut import Cut
 from ._settings import Settings
 from ._stock import Stock, passage
 from ._structure import Structure
 from ._tool import EndMill
-from ._units import EXPONENT, show
-from .robot import Arm, Loads, Robot, Spindle, load_urdf
+from ._units import EXPONENT, in_mm, show
+from .robot import Arm
 
 
 class CaseError(ValueError):
@@ -171,46 +172,12 @@ def _build(values: Mapping[str, dict[str, Any]], folder: Path) -> Case:
     if values["robot"]:
         if values["structure"]:
             raise ValueError("[structure] and [robot] given; each says what holds the tool. Give one of them")
-        structure = _arm(folder, values["robot"], values["robot.tool"], values["robot.loads"])
+        structure = arm_of(folder, *(values[name] for name in ("robot", "robot.tool", "robot.links", "robot.loads")))
     at_tool = structure.structure() if isinstance(structure, Arm) else structure
     settings = Settings.suited(tool, law, at_tool, cut, **values["simulation"])
     case = Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
     _require_met(case)
     return case
-
-
-def _arm(folder: Path, given: dict[str, Any], tool: dict[str, Any], loads: dict[str, Any]) -> Arm:
-    given = dict(given)
-    model, urdf, dh = (given.pop(key, None) for key in ("model", "urdf", "dh"))
-    mass, thickness = (given.pop(key, None) for key in ("link_mass", "link_thickness"))
-    if model is not None:
-        robot = MODELS[model]()
-    elif urdf is not None:
-        try:
-            robot = load_urdf(folder / urdf)
-        except OSError as error:
-            raise ValueError(f"robot.urdf: {show(urdf)} cannot be read: {error.strerror}") from None
-    else:
-        robot = Robot.from_dh(**dh)
-    for key in ("joints", "compliance"):
-        if len(given[key]) != robot.joints:
-            raise ValueError(f"robot.{key}: {len(given[key])} numbers given; the robot has {robot.joints} joints")
-    if (mass is None) != (thickness is None):
-        raise ValueError("robot: give link_mass and link_thickness together, for links as rods, or neither")
-    if mass is not None:
-        if len(mass) != robot.joints:
-            raise ValueError(f"robot.link_mass: {len(mass)} numbers given; the robot has {robot.joints} links")
-        robot = robot.with_rods(thickness, mass)
-    unknown = {"mass": "masses", "centre_of_mass": "centres of mass", "inertia": "inertia"}
-    if missing := [words for name, words in unknown.items() if getattr(robot, name) is None]:
-        source = "a table of lengths and angles" if dh is not None else show(model if urdf is None else urdf)
-        raise ValueError(
-            f"robot: {source} gives no {', no '.join(missing)} of links; give robot.link_mass and robot.link_thickness for "
-            "links as rods"
-        )
-    arm = Arm(robot, **given, tool=Spindle(**tool) if tool else None, loads=Loads(**loads) if loads else None)
-    arm.check()
-    return arm
 
 
 def _cut(tool: EndMill, spindle_speed, depth, feed_rate=None, feed_per_tooth=None, start=None) -> Cut:
@@ -245,26 +212,22 @@ def _require_met(case: Case) -> None:
     if met is not None and met[0] < end and x < met[1]:
         return
     if met is None:
-        sides = " and ".join(_mm(n * o) for n, o in zip(case.stock.normals[:, 1], case.stock.offsets, strict=True) if n)
+        sides = " and ".join(in_mm(n * o) for n, o in zip(case.stock.normals[:, 1], case.stock.offsets, strict=True) if n)
         way_out = f"It passes beside it: the stock has borders at y = {sides}. Change cut.start or stock.y"
     elif x >= met[1]:
-        way_out = f"It leaves the stock behind at x = {_mm(met[1])}. Start before that (cut.start), or change stock.x"
+        way_out = f"It leaves the stock behind at x = {in_mm(met[1])}. Start before that (cut.start), or change stock.x"
     elif feed_rate == 0:
-        way_out = f"It has no feed, and would only beyond x = {_mm(met[0])}. Start there (cut.start), or give a feed"
+        way_out = f"It has no feed, and would only beyond x = {in_mm(met[0])}. Start there (cut.start), or give a feed"
     else:
         way_out = (
-            f"It would at x = {_mm(met[0])}, after {(met[0] - x) / feed_rate:.4g} s. Start nearer (cut.start), or "
+            f"It would at x = {in_mm(met[0])}, after {(met[0] - x) / feed_rate:.4g} s. Start nearer (cut.start), or "
             "simulate longer (simulation.duration)"
         )
     raise ValueError(
-        f"stock: the tool does not meet it in the simulated time. Its centre goes from x = {_mm(x)} (cut.start) to "
-        f"{_mm(end)}, along y = {_mm(y)}, at {_mm(feed_rate)}/s (cut.feed_rate) for {duration:.4g} s; its radius is "
-        f"{_mm(radius)}.\n  {way_out}"
+        f"stock: the tool does not meet it in the simulated time. Its centre goes from x = {in_mm(x)} (cut.start) to "
+        f"{in_mm(end)}, along y = {in_mm(y)}, at {in_mm(feed_rate)}/s (cut.feed_rate) for {duration:.4g} s; its radius is "
+        f"{in_mm(radius)}.\n  {way_out}"
     )
-
-
-def _mm(length) -> str:
-    return f"{1e3 * float(length):.4g} mm"
 
 
 def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:

@@ -46,6 +46,7 @@ _SHAPES = {
     "interval": (lambda v: v.shape == (2,) and v[0] < v[1], "a list of two numbers, the smaller first"),
     "list": (lambda v: v.ndim == 1, "a list with one number per tooth"),
     "joints": (lambda v: v.ndim == 1, "a list with one number per joint"),
+    "links": (lambda v: v.ndim == 1, "a list with one number per elastic link"),
     "modes": (lambda v: v.shape in ((), (6,)), "one number, or a list of six, one per mode"),
     "vector": (lambda v: v.shape == (3,), "a list of three numbers"),
     "array": (lambda v: v.ndim <= 2, "one number, a list with one per coordinate, or a matrix as a list of rows"),
@@ -306,6 +307,17 @@ SECTIONS: dict[str, Section] = {
             "mass": Quantity("kg", NOT_NEGATIVE, required=False),
             "centre_of_mass": Quantity("m", ANY, "vector", required=False),
             "inertia": Quantity("kg m^2", ANY, "matrix", required=False),
+        },
+        required=False,
+    ),
+    "robot.links": Section(
+        {
+            # Not leaves: the case holds the beams that follow from them.
+            "joints": Quantity("", POSITIVE, "links", parameter=False),
+            "outer": Quantity("m", POSITIVE, "links", parameter=False),
+            "inner": Quantity("m", NOT_NEGATIVE, "links", required=False, parameter=False),
+            "young": Quantity("N/m^2", POSITIVE, required=False, parameter=False),
+            "shear": Quantity("N/m^2", POSITIVE, required=False, parameter=False),
         },
         required=False,
     ),

@@ -95,6 +95,11 @@ def show(value: Any) -> str:
     return str(value)
 
 
+def in_mm(length) -> str:
+    """A length [m] for a message: "20 mm"."""
+    return f"{1e3 * float(length):.4g} mm"
+
+
 def expected(unit: str) -> str:
     """What a value of this unit looks like, in words."""
     if not unit:

@@ -2,6 +2,7 @@
 that of the structure which follows from the pose."""
 
 import dataclasses
+import re
 
 import equinox as eqx
 import jax
@@ -158,6 +159,26 @@ def test_a_robot_from_a_table():
     case = case_file(('model = "kuka_kr270"\n', TABLE)).case
     assert case.robot is not None
     same(case.robot.robot, upright)
+
+
+def test_links_as_tubes():
+    tubes = '[robot.links]\njoints = [1, 2]\nouter = ["500 mm", "300 mm"]\ninner = ["420 mm", 0.23]\nyoung = "70 GPa"\n'
+    arm = case_file((END, tubes + END), text=FREE).case.robot
+    assert list(arm.beams) == ["joint_1", "joint_2"]
+    expected = Beam.tube(0.3, 0.23, young=70e9)
+    assert jax.tree.all(jax.tree.map(np.allclose, arm.beams["joint_2"], expected))
+    rigid = case_file(text=FREE).case.robot
+    assert np.linalg.eigvalsh(arm.structure().stiffness)[0] < np.linalg.eigvalsh(rigid.structure().stiffness)[0]
+    for old, new, words in (
+        ("[1, 2]", "[1, 7]", "robot.links.joints: 7 given; name each link once, by the number of its joint, 1 to 6"),
+        ("[1, 2]", "[1, 1]", "robot.links.joints: 1 given"),
+        ("[1, 2]", "[5, 2]", "the link of joint_5 has no length"),
+        ('"420 mm", 0.23', "0.5, 0.23", "robot.links.inner: 500 mm given; it must be less than the outer diameter, 500 mm"),
+        ('"420 mm", ', "", "robot.links.inner: 1 numbers given; robot.links.joints names 2 links"),
+    ):
+        assert old in tubes
+        with pytest.raises(mx.CaseError, match=re.escape(words)):
+            case_file((END, tubes.replace(old, new) + END), text=FREE)
 
 
 def test_rods_in_place_of_what_a_model_gives():
