@@ -115,6 +115,24 @@ def _parser() -> argparse.ArgumentParser:
         "(growth in the time domain). Default: all of them",
     )
     stability.set_defaults(run=_stability)
+
+    robot = commands.add_parser(
+        "robot",
+        help="what the tool feels of the robot that holds it",
+        description="Stiffness, compliance, mass and modes at the tool of a case with a [robot], which joint gives way, and "
+        "a map of stiffness over two joints. Writes robot.json, robot.nc (labelled results), robot.png and "
+        "stiffness_map.png.",
+    )
+    _add_paths(robot)
+    robot.add_argument(
+        "--map",
+        metavar="NAME=VALUES",
+        action="append",
+        default=[],
+        help='a joint and its values, "robot.joints.joint_2=-120:-20:41 deg" (from, to, how many): give two. By default '
+        "joints 2 and 3, between their limits or 45 degrees to both sides of the pose",
+    )
+    robot.set_defaults(run=_robot)
     return parser
 
 
@@ -150,6 +168,12 @@ def _stability(arguments: argparse.Namespace) -> int:
     return run_stability(
         arguments.case, arguments.out, speeds=arguments.speeds, depths=arguments.depths, methods=arguments.methods
     )
+
+
+def _robot(arguments: argparse.Namespace) -> int:
+    from ._robot_command import run_robot
+
+    return run_robot(arguments.case, arguments.out, maps=arguments.map)
 
 
 def _fit(arguments: argparse.Namespace) -> int:

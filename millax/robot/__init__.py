@@ -6,7 +6,9 @@ from ._arm import Arm, Spindle
 from ._beam import Beam
 from ._chain import Bodies, Frames, Payload, Placement, Robot
 from ._elastic import AtTool, ElasticRobot, Loads
+from ._felt import robot_at_tool
 from ._load import load_urdf
+from ._map import stiffness_map
 from ._modes import Modes, modal_damping, modes
 from ._parallel import ParallelRobot
 from ._torch import from_pytorch_kinematics
@@ -30,4 +32,6 @@ __all__ = [
     "modal_damping",
     "models",
     "modes",
+    "robot_at_tool",
+    "stiffness_map",
 ]
