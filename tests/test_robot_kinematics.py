@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arms import pinocchio_of
 
 from millax.robot import Placement, Robot, models
 
@@ -62,24 +63,9 @@ def any_robot(seed: int, joints: int = 5) -> Robot:
 
 
 def reference(robot: Robot, q):
-    """The same by Pinocchio, built joint by joint."""
+    """The same by Pinocchio."""
     pin = pytest.importorskip("pinocchio")
-
-    def place(xyz, rpy):
-        return pin.SE3(pin.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
-
-    model, joint = pin.Model(), 0
-    before = place(robot.base.xyz, robot.base.rpy)
-    for i, kind in enumerate(robot.kinds):
-        axis = np.asarray(robot.axis[i]) / np.linalg.norm(robot.axis[i])
-        motion = {"revolute": pin.JointModelRevoluteUnaligned, "prismatic": pin.JointModelPrismaticUnaligned}[kind](axis)
-        joint = model.addJoint(joint, motion, before * place(robot.xyz[i], robot.rpy[i]), robot.names[i])
-        body = pin.Inertia(float(robot.mass[i]), np.array(robot.centre_of_mass[i]), np.eye(3))
-        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
-        before = pin.SE3.Identity()
-    tool = place(robot.flange.xyz, robot.flange.rpy) * place(robot.tool.xyz, robot.tool.rpy)
-    frame = model.addFrame(pin.Frame("tool", joint, 0, tool, pin.FrameType.OP_FRAME))
-    model.gravity.linear = FIELD
+    model, frame = pinocchio_of(robot, FIELD)
     data, zero = model.createData(), np.asarray(robot.zero)
     found = []
     for one in np.asarray(q):

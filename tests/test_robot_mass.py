@@ -82,6 +82,16 @@ def test_a_rod_weighs_as_the_textbook_says():
         models.abb_irb6660().with_rods(0.1)
 
 
+def test_what_a_robot_does_not_say_of_its_masses():
+    robot = dataclasses.replace(models.kuka_kr270(), inertia=None)
+    robot.gravity(Q)
+    for of in (robot.mass_matrix, ElasticRobot(robot, COMPLIANCE).mass):
+        with pytest.raises(ValueError, match="robot: this one has no inertia; give that of every link, or take rods"):
+            of(Q)
+    with pytest.raises(ValueError, match="robot: this one has no mass and no centre_of_mass; give them for every link"):
+        ElasticRobot(models.abb_irb6660(), COMPLIANCE).mass(Q)
+
+
 def planar(q2: float):
     """Two links in a plane, masses off their lines: robot, compliance, and M written out."""
     (m1, l1, i1), (m2, l2, i2), first = (30.0, 0.35, 2.5), (18.0, 0.25, 0.9), 0.8
