@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import jax
 import numpy as np
-import pytest
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
@@ -236,36 +235,6 @@ def sides(beam, line) -> np.ndarray:
     side = np.eye(3)[np.argmin(abs(x))] if beam.side is None else np.asarray(beam.side)
     z = np.cross(x, side) / np.linalg.norm(np.cross(x, side))
     return np.array([x, np.cross(z, x), z]).T
-
-
-def pinocchio_of(robot: Robot, gravity=(0.0, 0.0, -9.81)):
-    """A model of Pinocchio, built joint by joint, and its tool frame. Masses that are not given are 0, inertia that is not
-    given that of a unit ball. Its coordinates are q + zero."""
-    pin = pytest.importorskip("pinocchio")
-
-    def place(xyz, rpy):
-        return pin.SE3(pin.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
-
-    model, joint = pin.Model(), 0
-    before = place(robot.base.xyz, robot.base.rpy)
-    for i, kind in enumerate(robot.kinds):
-        axis = np.asarray(robot.axis[i]) / np.linalg.norm(robot.axis[i])
-        motion = {"revolute": pin.JointModelRevoluteUnaligned, "prismatic": pin.JointModelPrismaticUnaligned}[kind](axis)
-        joint = model.addJoint(joint, motion, before * place(robot.xyz[i], robot.rpy[i]), robot.names[i])
-        if robot.mass is not None:
-            inertia = np.eye(3) if robot.inertia is None else np.array(robot.inertia[i])
-            body = pin.Inertia(float(robot.mass[i]), np.array(robot.centre_of_mass[i]), inertia)
-            model.appendBodyToJoint(joint, body, pin.SE3.Identity())
-        before = pin.SE3.Identity()
-    flange = place(robot.flange.xyz, robot.flange.rpy)
-    if (load := robot.payload) is not None:
-        model.appendBodyToJoint(
-            joint, pin.Inertia(float(load.mass), np.array(load.centre_of_mass), np.array(load.inertia)), flange
-        )
-    tool = flange * place(robot.tool.xyz, robot.tool.rpy)
-    frame = model.addFrame(pin.Frame("tool", joint, 0, tool, pin.FrameType.OP_FRAME))
-    model.gravity.linear = np.array(gravity)
-    return model, frame
 
 
 def frame_of(robot: ElasticRobot, q, elements: int = 2) -> frame.Arm:

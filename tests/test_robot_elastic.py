@@ -113,6 +113,18 @@ def test_loads_that_the_springs_do_not_hold_are_an_error():
         robot.stiffness(Q, Loads(np.full(3, 1e7)))
 
 
+def test_loads_in_single_precision():
+    robot = arm(models.kuka_kr270, {})
+    expected = robot.at_tool(Q, LOADS)
+    with jax.enable_x64(False):
+        robot, loads = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (robot, LOADS))
+        found = robot.at_tool(Q, loads)
+    assert found.stiffness.dtype == jnp.float32
+    # Rounding of angles is 1e-7 of 3 rad; of the stiffness 1e-7 times its condition number, 40.
+    np.testing.assert_allclose(found.coordinates - np.float32(Q), expected.coordinates - Q, atol=1e-6)
+    assert worst(found.stiffness, np.asarray(expected.stiffness)) < 1e-5
+
+
 # Beams
 
 

@@ -19,7 +19,6 @@ from arms import (
     arm,
     frame_of,
     joint_frequencies,
-    pinocchio_of,
     standing,
     worst,
 )
@@ -51,15 +50,14 @@ RIGID |= {f"{name}, loaded": with_load(robot) for name, robot in RIGID.items() i
 @pytest.mark.parametrize("robot", RIGID.values(), ids=RIGID)
 def test_the_mass_matrix_and_gravity_are_those_of_pinocchio(robot):
     field = np.array([0.4, -0.3, -9.81])
-    pin = pytest.importorskip("pinocchio")
-    model, _ = pinocchio_of(robot, field)
-    data = model.createData()
+    pytest.importorskip("pinocchio")
+    from benchmarks import pinocchio_models
+
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (20, robot.joints))
     mass, gravity = jax.jit(jax.vmap(lambda q: (robot.mass_matrix(q), robot.gravity(q, field))))(q)
-    for i, one in enumerate(q + np.asarray(robot.zero)):
-        upper = np.triu(pin.crba(model, data, one))  # all that it fills
-        assert worst(mass[i], upper + np.triu(upper, 1).T) < 1e-13
-        assert worst(gravity[i], pin.computeGeneralizedGravity(model, data, one)) < 1e-12
+    theirs = pinocchio_models.evaluated(pinocchio_models.built(robot), q, robot.zero, field)
+    assert worst(mass, theirs.mass) < 1e-13
+    assert worst(gravity, theirs.gravity) < 1e-12
 
 
 def test_a_rod_weighs_as_the_textbook_says():
@@ -80,6 +78,16 @@ def test_a_rod_weighs_as_the_textbook_says():
     np.testing.assert_array_equal(robot.with_rods(0.05).inertia, robot.inertia)  # masses of its own
     with pytest.raises(ValueError, match=r"robot\.mass: this robot has none; give the mass of every link"):
         models.abb_irb6660().with_rods(0.1)
+
+
+def test_what_a_robot_does_not_say_of_its_masses():
+    robot = dataclasses.replace(models.kuka_kr270(), inertia=None)
+    robot.gravity(Q)
+    for of in (robot.mass_matrix, ElasticRobot(robot, COMPLIANCE).mass):
+        with pytest.raises(ValueError, match="robot: this one has no inertia; give that of every link, or take rods"):
+            of(Q)
+    with pytest.raises(ValueError, match="robot: this one has no mass and no centre_of_mass; give them for every link"):
+        ElasticRobot(models.abb_irb6660(), COMPLIANCE).mass(Q)
 
 
 def planar(q2: float):

@@ -186,9 +186,10 @@ def test_two_of_the_same_robot_are_twice_as_stiff_and_as_heavy():
     np.testing.assert_allclose(robot.modes([Q, Q]).frequency, leg.modes(Q).frequency, rtol=1e-13)
 
 
-def test_derivatives_beside_differences(hexapod):
+def test_derivatives_beside_differences():
     """By springs, the diameter of a beam, places, masses, and how the legs stand."""
     robot, q = platform(beam=Beam.tube(0.08, 0.06))
+    legs, q = robot.legs[:2], q[:2]  # all do the same
     rng = np.random.default_rng(0)
     weights = rng.normal(size=(2, 6, 6)) / np.array([1e8, 1e2])[:, None, None]
 
@@ -199,21 +200,23 @@ def test_derivatives_beside_differences(hexapod):
             changed = (leg.compliance.at[2].set(slide), leg.robot.flange.xyz + place, leg.robot.mass * (1 + mass))
             return eqx.tree_at(where, leg, (*changed, Beam.tube(0.08 + tube, 0.06)))
 
-        springs, places, masses, tube, joints = jnp.split(change, [6, 9, 10, 11])
-        other = ParallelRobot([leg(one, c, places, masses[0], tube[0]) for one, c in zip(robot.legs, springs, strict=True)])
+        springs, places, masses, tube, joints = jnp.split(change, [2, 5, 6, 7])
+        other = ParallelRobot([leg(one, c, places, masses[0], tube[0]) for one, c in zip(legs, springs, strict=True)])
         at = [own + joints for own in q]
         return jnp.sum(weights[0] * other.stiffness(at)) + jnp.sum(weights[1] * other.mass(at))
 
-    one, gradient = jnp.zeros(17), jax.jit(jax.grad(felt))
+    one, gradient = jnp.zeros(13), jax.jit(jax.grad(felt))
     backward, value = gradient(one), jax.jit(felt)
-    for i in range(17):
-        step = np.zeros(17)
+    for i in range(13):
+        step = np.zeros(13)
         step[i] = 1e-6
         difference = (value(step) - value(-step)) / 2e-6
         assert abs(difference) > 1e-4
         np.testing.assert_allclose(backward[i], difference, rtol=1e-6, atol=1e-8)
-    direction = jnp.asarray(rng.normal(size=17))
-    np.testing.assert_allclose(jax.jvp(felt, (one,), (direction,))[1], backward @ direction, rtol=1e-10)
+    direction = jnp.asarray(rng.normal(size=13))
+    np.testing.assert_allclose(
+        jax.jit(lambda d: jax.jvp(felt, (one,), (d,))[1])(direction), backward @ direction, rtol=1e-10
+    )
 
 
 # What is refused
