@@ -1,6 +1,7 @@
 """A trace beside a simulation: the model's channels at the trace's own sample times."""
 
 from collections.abc import Collection
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +11,8 @@ from jaxtyping import Array, Bool, Float
 from millax import Case, Simulation
 from millax._types import AXES
 
-from ._traces import UNEVEN, Trace, TraceError
+from ._measured import TraceError
+from ._traces import UNEVEN, Trace
 
 PER_TOOTH = 4
 """Fewest samples per tooth period: with fewer, the force of a tooth is not resolved."""
@@ -29,6 +31,8 @@ class Comparison(eqx.Module):
     Where the trace has the time stamps of the simulation, or every k-th of them, up to their rounding, `taken` says which
     samples to take as they are (first, last + 1, k); otherwise it is None.
     """
+
+    simulated: ClassVar[bool] = True
 
     time: Float[Array, " samples"]
     measured: Float[Array, "channels samples"]

@@ -187,7 +187,7 @@ class ElasticRobot(eqx.Module):
             inertia=jnp.concatenate(inertias) if len(inertias) == len(parts) else None,
         )
 
-    def equilibrium(self, q: Float[Array, " n"], loads: Loads) -> Float[Array, " N"]:
+    def equilibrium(self, q: Float[Array, " n"], loads: Loads, *, throw: bool = True) -> Float[Array, " N"]:
         """The N coordinates at which springs hold the loads, K_theta theta = J_G^T G + J_F^T F at q + theta (C 7): by
         Newton's method, from no deflection.
 
@@ -195,23 +195,24 @@ class ElasticRobot(eqx.Module):
 
         - `q`: what the drives set [rad], [m].
         - `loads`: what loads the robot.
+        - `throw`: whether to raise an error where there is no equilibrium nearby: the loads are beyond what the springs
+          hold. If not, the coordinates are NaN there.
 
-        Differentiable, by the implicit function theorem. Raises `ValueError` for passive joints, which hold nothing, and
-        an error where there is no equilibrium nearby: the loads are beyond what the springs hold.
+        Differentiable, by the implicit function theorem. Raises `ValueError` for passive joints, which hold nothing.
         """
-        self._no_passive("leave the loads out")
-        return self._equilibrium(q, loads)
+        self.require_springs("leave the loads out")
+        return self._equilibrium(q, loads, throw)
 
     @eqx.filter_jit
-    def _equilibrium(self, q, loads):
+    def _equilibrium(self, q, loads, throw=True):
         rest, springs = self.extended(q), self.springs
 
         def left(theta, robot):
             return theta - jnp.linalg.solve(springs, robot.load(rest + theta, loads))
 
         solver = optx.Newton(rtol=1e-10, atol=1e-14)
-        found = optx.root_find(left, solver, jnp.zeros_like(rest), args=self, max_steps=50, throw=True)
-        return rest + found.value
+        found = optx.root_find(left, solver, jnp.zeros_like(rest), args=self, max_steps=50, throw=throw)
+        return rest + jnp.where(found.result == optx.RESULTS.successful, found.value, jnp.nan)
 
     def load(self, x: Float[Array, " N"], loads: Loads) -> Float[Array, " N"]:
         """J_G^T G + J_F^T F (C 5): what gravity and the wrench on the tool load the N coordinates with at x."""
@@ -231,7 +232,7 @@ class ElasticRobot(eqx.Module):
         Raises what `equilibrium` raises.
         """
         if loads is not None:
-            self._no_passive("leave the loads out")
+            self.require_springs("leave the loads out")
         return self._at_tool(q, loads)
 
     @eqx.filter_jit
@@ -260,7 +261,7 @@ class ElasticRobot(eqx.Module):
 
         Raises `ValueError` for passive joints.
         """
-        self._no_passive("take the stiffness")
+        self.require_springs("take the stiffness")
         return self._tool_compliance(q, loads)
 
     @eqx.filter_jit
@@ -319,7 +320,8 @@ class ElasticRobot(eqx.Module):
                 "Look at mass and inertia of the links from there on"
             )
 
-    def _no_passive(self, what: str) -> None:
+    def require_springs(self, what: str) -> None:
+        """Raise `ValueError` where a joint is passive; `what` is what else to do than to give it a spring."""
         given = concrete(self.compliance)
         if given is not None and np.isinf(given).any():
             name = self.robot.names[int(np.argmax(np.isinf(given)))]
