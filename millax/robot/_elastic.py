@@ -289,7 +289,8 @@ class ElasticRobot(eqx.Module):
         """Raise `ValueError` where q is beyond a limit or singular, or the mass matrix is not positive definite, with the
         joints it is about; `name` is what messages call q. Traced numbers pass."""
         self.robot.check(q, name)
-        jacobian = concrete(self.chain.jacobian(self.extended(q)))
+        computed, mass = self._at_rest(q)
+        jacobian = concrete(computed)
         if jacobian is None:
             return
         length = float(np.linalg.norm(self.robot.ends, axis=1).sum()) or 1.0
@@ -308,9 +309,9 @@ class ElasticRobot(eqx.Module):
                 f"{name}: the pose ({shown}) deg is singular: {names} can move without the tool, which cannot move in one "
                 "of its six directions. Change one of them by a degree"
             )
-        if self.robot.mass is None:
+        if mass is None:
             return
-        mass = np.asarray(self.bodies(self.extended(q)).mass_matrix)
+        mass = np.asarray(mass)
         scale = np.sqrt(np.abs(np.diag(mass)))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale) if scale.all() else mass)
         if values[0] <= WEIGHTLESS * values[-1]:
@@ -319,6 +320,12 @@ class ElasticRobot(eqx.Module):
                 f"robot: the mass matrix is not positive definite: what {names} move has no inertia, or a negative one. "
                 "Look at mass and inertia of the links from there on"
             )
+
+    @eqx.filter_jit
+    def _at_rest(self, q):
+        """Jacobian and mass matrix where nothing loads the robot; the latter None for a robot without masses."""
+        x = self.extended(q)
+        return self.chain.jacobian(x), None if self.robot.mass is None else self.bodies(x).mass_matrix
 
     def require_springs(self, what: str) -> None:
         """Raise `ValueError` where a joint is passive; `what` is what else to do than to give it a spring."""
