@@ -1,7 +1,6 @@
 """A trace beside a simulation: the model's channels at the trace's own sample times."""
 
 from collections.abc import Collection
-from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,8 +30,6 @@ class Comparison(eqx.Module):
     Where the trace has the time stamps of the simulation, or every k-th of them, up to their rounding, `taken` says which
     samples to take as they are (first, last + 1, k); otherwise it is None.
     """
-
-    simulated: ClassVar[bool] = True
 
     time: Float[Array, " samples"]
     measured: Float[Array, "channels samples"]

@@ -1,7 +1,5 @@
 """A load test beside a robot: by how much its tool gives way."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,8 +19,6 @@ class Deflection(eqx.Module):
     The springs are in equilibrium under gravity and the wrench (C 7), and under gravity alone. Between the two the tool
     frame, origin p and axes R, is displaced by p_loaded - p_unloaded and rotated by R_loaded R_unloaded^T.
     """
-
-    simulated: ClassVar[bool] = False
 
     joints: Float[Array, "m n"] | None
     wrench: Float[Array, "m 6"]

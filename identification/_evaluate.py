@@ -42,7 +42,7 @@ def evaluate(
 
     def model(y):
         changed = [numbers.insert(case, y) for case in cases]
-        cuts = sorted({i for comparison, i in zip(comparisons, case_of, strict=True) if comparison.simulated})
+        cuts = sorted({i for one, i in zip(comparisons, case_of, strict=True) if isinstance(one, Comparison)})
         sims = dict(zip(cuts, together([changed[i] for i in cuts]), strict=True))
         fitted, covered = [], [jnp.array(True)]
         for comparison, i in zip(comparisons, case_of, strict=True):

@@ -247,8 +247,10 @@ class _Fit:
     def _update_noise(self) -> bool:
         """Estimate the noise that is not known from the residuals; whether it changed."""
         # The residuals of a channel have lost as many degrees of freedom as parameters were taken from it.
+        # At least one is left: `question` sees to it, but for channels whose noise is known.
         size = np.linalg.norm(self._best().triangles[:, :, -1], axis=1)
-        updated = np.maximum(size / np.sqrt(self.samples - self._taken()), NOISE_FLOOR * self.size)
+        left = np.maximum(self.samples - self._taken(), 1.0)
+        updated = np.maximum(size / np.sqrt(left), NOISE_FLOOR * self.size)
         updated = np.where(self.estimated, updated, self.sigma)
         changed = bool((np.abs(updated / self.sigma - 1) > NOISE_CHANGE).any())
         self.sigma = updated
