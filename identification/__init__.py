@@ -1,4 +1,4 @@
-"""identification: finding the parameters of a millax case from measured traces."""
+"""identification: finding the parameters of a millax case from measured traces and deflections."""
 
 import importlib
 from typing import TYPE_CHECKING
@@ -7,9 +7,11 @@ if TYPE_CHECKING:
     from ._fit import Progress, fit
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
+    from ._loadtest import LoadTest, read_load_test
+    from ._measured import TraceError
     from ._parameters import Parameter
     from ._result import STATUS, Estimate, FitResult, TraceFit
-    from ._traces import Trace, TraceError, read_trace
+    from ._traces import Trace, read_trace
 
 __all__ = [
     "STATUS",
@@ -17,6 +19,7 @@ __all__ = [
     "Estimate",
     "FitProblem",
     "FitResult",
+    "LoadTest",
     "Parameter",
     "Progress",
     "Prospect",
@@ -26,6 +29,7 @@ __all__ = [
     "check",
     "fit",
     "load_fit",
+    "read_load_test",
     "read_trace",
 ]
 
@@ -33,9 +37,11 @@ _HOMES = {
     "_fit": ("Progress", "fit"),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),
+    "_loadtest": ("LoadTest", "read_load_test"),
+    "_measured": ("TraceError",),
     "_parameters": ("Parameter",),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
-    "_traces": ("Trace", "TraceError", "read_trace"),
+    "_traces": ("Trace", "read_trace"),
 }
 
 

@@ -1,4 +1,4 @@
-"""`millax fit`: from a case file and its traces to estimates, a fitted case and a report."""
+"""`millax fit`: from a case file and its measurements to estimates, a fitted case and a report."""
 
 import json
 import math
@@ -14,10 +14,10 @@ from millax._names import value_of
 
 from ._fit import Progress, fit
 from ._fitfile import FitProblem, load_fit
+from ._measured import TraceError
 from ._output import complain, console, staged
 from ._report import write_report
 from ._result import FitResult
-from ._traces import TraceError
 from ._words import interval, with_error
 
 _EXIT = {"converged": 0, "interrupted": 130}
@@ -25,7 +25,7 @@ _EXIT = {"converged": 0, "interrupted": 130}
 
 def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: bool = True) -> int:
     """Fit what a case file asks; write result.json, fitted.toml and report.html into the directory `out_dir`.
-    With `check`, a question to which the traces have no answer is not begun.
+    With `check`, a question to which the measurements have no answer is not begun.
 
     Returns the exit code: 0 where every parameter was found; 1 where the answer is no (the result says why, and is written
     all the same); 2 for input that cannot be used, with nothing written; 130 after Ctrl-C, with the best so far written.

@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float
 from millax import Case, Simulation
 from millax._types import AXES
 
-from ._traces import UNEVEN, Trace, TraceError
+from ._measured import TraceError
+from ._traces import UNEVEN, Trace
 
 PER_TOOTH = 4
 """Fewest samples per tooth period: with fewer, the force of a tooth is not resolved."""

@@ -1,4 +1,4 @@
-"""The model beside the traces, and how it changes with the free parameters, at one point."""
+"""The model beside the measurements, and how it changes with the free parameters, at one point."""
 
 from collections.abc import Sequence
 
@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from millax import Case, Simulation, simulate
 
 from ._compare import Comparison
+from ._deflection import Deflection
 from ._parameters import FreeParameters
 
 
@@ -31,17 +32,27 @@ def evaluate(
     cases: tuple[Case, ...],
     case_of: tuple[int, ...],
     numbers: FreeParameters,
-    comparisons: tuple[Comparison, ...],
+    comparisons: tuple[Comparison | Deflection, ...],
     y: Array,
 ) -> Evaluation:
-    """The `Evaluation` of `cases` with their free numbers at `y`; `case_of` says which belongs to each comparison."""
+    """The `Evaluation` of `cases` with their free numbers at `y`; `case_of` says which belongs to each comparison.
+
+    Only cases of traces are simulated: load tests need their robots alone.
+    """
 
     def model(y):
-        sims = together([numbers.insert(case, y) for case in cases])
-        pairs = [(comparison, sims[i]) for comparison, i in zip(comparisons, case_of, strict=True)]
-        fitted = tuple(comparison.predict(sim) for comparison, sim in pairs)
-        covered = jnp.stack([comparison.covered(sim) for comparison, sim in pairs]).all()
-        return fitted, (jnp.max(jnp.stack([sim.status for sim in sims])), covered)
+        changed = [numbers.insert(case, y) for case in cases]
+        cuts = sorted({i for one, i in zip(comparisons, case_of, strict=True) if isinstance(one, Comparison)})
+        sims = dict(zip(cuts, together([changed[i] for i in cuts]), strict=True))
+        fitted, covered = [], [jnp.array(True)]
+        for comparison, i in zip(comparisons, case_of, strict=True):
+            if isinstance(comparison, Deflection):
+                fitted.append(comparison.predict(changed[i]))
+            else:
+                fitted.append(comparison.predict(sims[i]))
+                covered.append(comparison.covered(sims[i]))
+        status = jnp.stack([jnp.array(0), *(sim.status for sim in sims.values())])
+        return tuple(fitted), (jnp.max(status), jnp.stack(covered).all())
 
     def push(direction):
         fitted, change, aux = jax.jvp(model, (y,), (direction,), has_aux=True)

@@ -15,8 +15,9 @@ from scipy.stats import norm
 
 from millax.plots import COLOURS, si_prefix, tidy
 
+from ._loadtest import CHANNELS as DEFLECTIONS
 from ._result import FitResult, TraceFit
-from ._traces import CHANNELS
+from ._traces import CHANNELS, Trace
 
 _MEASURED = "#8a9099"
 _STYLE: dict[Any, Any] = {
@@ -41,7 +42,7 @@ _POINTS = 900
 
 def measured_and_fitted(fit: TraceFit, tooth_period: float, zoom_periods: int = 4) -> str:
     """Per channel the whole trace, as the range over each pixel, and its last `zoom_periods` tooth periods."""
-    trace = fit.trace
+    trace = _trace(fit)
     zoom = trace.time > trace.time[-1] - zoom_periods * tooth_period
     with matplotlib.rc_context(_STYLE):
         figure, grid = _grid(len(trace.channels), [2.1, 1], 1.75)
@@ -67,7 +68,7 @@ def measured_and_fitted(fit: TraceFit, tooth_period: float, zoom_periods: int = 
 
 def residuals(fit: TraceFit, tooth_period: float) -> str:
     """Per channel measured - fitted against time, its spectral density, and its distribution beside the normal one."""
-    trace = fit.trace
+    trace = _trace(fit)
     z = np.linspace(-4.5, 4.5, 181)
     with matplotlib.rc_context(_STYLE):
         figure, grid = _grid(len(trace.channels), [1.7, 1.7, 1], 1.55)
@@ -100,6 +101,53 @@ def residuals(fit: TraceFit, tooth_period: float) -> str:
         return _svg(figure, f"residuals of {trace.name}")
 
 
+def measured_against_fitted(fit: TraceFit) -> str:
+    """Per channel of a load test what was measured, with its noise, above what the model says."""
+    test = fit.trace
+    with matplotlib.rc_context(_STYLE):
+        columns = min(len(test.channels), 3)
+        rows = -(-len(test.channels) // columns)
+        figure = Figure(figsize=(11 if columns > 1 else 6, 0.3 + 3.4 * rows), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in grid[len(test.channels) :]:
+            axes.set_visible(False)
+        for axes, channel, measured, fitted in zip(grid, test.channels, test.values.T, fit.fitted.T, strict=False):
+            tidy(axes)
+            scale, label = _axis(channel, np.concatenate([measured, fitted]))
+            axes.axline((0, 0), slope=1, **_GUIDE)
+            axes.errorbar(
+                fitted / scale,
+                measured / scale,
+                yerr=fit.sigma[channel] / scale,
+                fmt="o",
+                markersize=3.5,
+                elinewidth=0.9,
+                color=_colour(channel),
+            )
+            axes.set_xlabel(f"fitted {label}")
+            axes.set_ylabel(f"measured {label}")
+        return _svg(figure, f"{test.name}, measured against fitted")
+
+
+def residuals_by_number(fit: TraceFit) -> str:
+    """Per channel of a load test measured - fitted by the number of the measurement."""
+    test, number = fit.trace, np.arange(1, fit.trace.samples + 1)
+    with matplotlib.rc_context(_STYLE):
+        figure, grid = _grid(len(test.channels), [1], 1.4)
+        for axes, channel, residual in zip(grid[:, 0], test.channels, fit.residuals.T, strict=True):
+            sigma = fit.sigma[channel]
+            scale, label = _axis(channel, np.append(residual, 2 * sigma))
+            axes.axhline(0, color=_MEASURED, linewidth=0.7)
+            for level in (-2 * sigma, 2 * sigma):
+                axes.axhline(level / scale, **_GUIDE)
+            axes.plot(number, residual / scale, "o", markersize=3.5, color=_colour(channel))
+            axes.set_ylabel(label)
+        grid[0, 0].set_title("by measurement; dashed: ± 2 σ")
+        grid[0, 0].xaxis.get_major_locator().set_params(integer=True)
+        grid[-1, 0].set_xlabel("number of the measurement")
+        return _svg(figure, f"residuals of {test.name}")
+
+
 def correlation(result: FitResult) -> str:
     """The correlation matrix of the estimates."""
     names = [estimate.name for estimate in result.parameters]
@@ -126,6 +174,11 @@ def correlation(result: FitResult) -> str:
         return _svg(figure, "correlation of the estimates")
 
 
+def _trace(fit: TraceFit) -> Trace:
+    assert isinstance(fit.trace, Trace)
+    return fit.trace
+
+
 def _grid(rows: int, widths: list[float], height: float):
     figure = Figure(figsize=(11, 0.6 + height * rows), layout="constrained")
     grid = figure.subplots(rows, len(widths), squeeze=False, sharex="col", width_ratios=widths)
@@ -141,7 +194,7 @@ def _colour(channel: str) -> str:
 def _axis(channel: str, values: Float[np.ndarray, " samples"]) -> tuple[float, str]:
     """The scale in which to draw a channel, and the label of its axis."""
     scale, prefix = si_prefix([values])
-    return scale, f"{channel} [{prefix}{CHANNELS[channel]}]"
+    return scale, f"{channel} [{prefix}{(CHANNELS | DEFLECTIONS)[channel]}]"
 
 
 def _envelope(axes: Axes, time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], **style) -> None:

@@ -1,4 +1,4 @@
-"""Fitting parameters of a case to traces: weighted least squares by Levenberg-Marquardt."""
+"""Fitting parameters of a case to measurements: weighted least squares by Levenberg-Marquardt."""
 
 import importlib.metadata
 import platform
@@ -14,7 +14,8 @@ from millax._gain import MOST_SWEEPS
 from millax._simulate import STATUS as SIMULATION_STATUS
 
 from ._evaluate import Evaluation, evaluate
-from ._identifiability import checked
+from ._identifiability import checked, not_finite
+from ._loadtest import LoadTest
 from ._parameters import FreeParameters, Parameter
 from ._question import Question, question
 from ._result import STATUS, Estimate, FitResult, TraceFit
@@ -63,14 +64,14 @@ class Progress:
 
 def fit(
     case: Case | Sequence[Case],
-    traces: Trace | Sequence[Trace],
+    measured: Trace | LoadTest | Sequence[Trace | LoadTest],
     parameters: Sequence[Parameter | str],
     *,
     check: bool = True,
     max_iterations: int = 100,
     progress: Callable[[Progress], None] | None = None,
 ) -> FitResult:
-    """Find the parameters with which the simulated case is nearest to the traces.
+    """Find the parameters with which the case is nearest to what was measured.
 
     The sum over channels of ((measured - model)/sigma)² is made smallest, which is maximum likelihood for independent
     normal noise. Where the noise sigma of a channel is not known, it is estimated together with the parameters: fit and
@@ -78,21 +79,22 @@ def fit(
 
     **Arguments:**
 
-    - `case`: the cut that was measured, or one per trace: cuts at several speeds, or with the robot in several poses. The
-      free parameters are shared: they have one value in all of them. Numbers that are not free are taken as they are.
-    - `traces`: one `Trace` or several.
+    - `case`: the cut that was measured, or one per trace and load test: cuts at several speeds, or with the robot in several
+      poses. The free parameters are shared: they have one value in all of them. Numbers that are not free are taken as
+      they are.
+    - `measured`: one `Trace` or `LoadTest`, or several in any order. Where there are only load tests, no cut is simulated.
     - `parameters`: `Parameter`s, or names of parameters to start from the case's own value.
-    - `check`: whether a question to which the traces have no answer at the guess, see `identification.check`, is not begun:
-      the status then is "not_identifiable", and the message names the combinations that cannot be known.
+    - `check`: whether a question to which the measurements have no answer at the guess, see `identification.check`, is not
+      begun: the status then is "not_identifiable", and the message names the combinations that cannot be known.
     - `max_iterations`: evaluations of model and Jacobian after which the fit gives up.
     - `progress`: called with a `Progress` after every evaluation.
 
     Returns a `FitResult`, also where there is no good answer: look at `success`, `status` and `message`. Ctrl-C ends a
     fit with the best estimates so far.
 
-    Raises `ValueError` for parameters and traces that cannot be used, and where JAX is not set to float64.
+    Raises `ValueError` for parameters and measurements that cannot be used, and where JAX is not set to float64.
     """
-    return _Fit(question(case, traces, parameters), check, max_iterations, progress or (lambda _: None)).run()
+    return _Fit(question(case, measured, parameters), check, max_iterations, progress or (lambda _: None)).run()
 
 
 class _Failed(Exception):
@@ -148,7 +150,7 @@ class _Fit:
             names = ", ".join(np.array(self.numbers.names)[dead])
             raise _Failed(
                 "cannot_start",
-                f"At the guess the traces do not depend on {names}: nothing shows in which direction to go. Take "
+                f"At the guess the measurements do not depend on {names}: nothing shows in which direction to go. Take "
                 "the parameter out of the fit, measure a channel that feels it, or guess where it matters.",
             )
         before = checked(self.asked, first)
@@ -203,7 +205,7 @@ class _Fit:
         if not bool(evaluation.covered):
             return evaluation, "the simulation ends before the trace does"
         if not np.isfinite(evaluation.triangles).all():
-            return evaluation, "the traces or their derivatives are not finite"
+            return evaluation, not_finite(asked)
         return evaluation, None
 
     def _more_sweeps(self) -> None:
@@ -225,19 +227,30 @@ class _Fit:
     def _distance(self) -> float:
         """Length of the Gauss-Newton step in standard errors; parameters at their bounds go no further."""
         whitened = self._whitened(self._best())
-        inner = ~at_bounds(self.numbers, self.y) & ~insensitive(whitened[:, :-1])
+        return float(np.linalg.norm(self._reached(whitened[:, :-1]).T @ whitened[:, -1]))
+
+    def _taken(self) -> np.ndarray:
+        """How many parameters, in parts, each channel tells: their sum over the channels is the number of those known."""
+        rows = self._best().triangles[:, :, :-1] / self.sigma[:, None, None]
+        basis = self._reached(np.asarray(rows).reshape(-1, rows.shape[-1]))
+        return np.sum(basis.reshape(*rows.shape[:2], -1) ** 2, axis=(1, 2))
+
+    def _reached(self, jacobian: np.ndarray) -> np.ndarray:
+        """An orthonormal basis of the changes that the parameters within their bounds bring about."""
+        inner = ~at_bounds(self.numbers, self.y) & ~insensitive(jacobian)
         if not inner.any():
-            return 0.0
-        jacobian = whitened[:, :-1][:, inner]
+            return np.zeros((len(jacobian), 0))
+        jacobian = jacobian[:, inner]
         basis, s, _ = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
-        return float(np.linalg.norm(basis[:, s > RANK * s[0]].T @ whitened[:, -1]))
+        return basis[:, s > RANK * s[0]]
 
     def _update_noise(self) -> bool:
         """Estimate the noise that is not known from the residuals; whether it changed."""
-        # The residuals have lost as many degrees of freedom as there are parameters.
-        total = self.samples.sum()
-        rms = np.linalg.norm(self._best().triangles[:, :, -1], axis=1) / np.sqrt(self.samples)
-        updated = np.maximum(rms * np.sqrt(total / (total - len(self.numbers))), NOISE_FLOOR * self.size)
+        # The residuals of a channel have lost as many degrees of freedom as parameters were taken from it.
+        # At least one is left: `question` sees to it, but for channels whose noise is known.
+        size = np.linalg.norm(self._best().triangles[:, :, -1], axis=1)
+        left = np.maximum(self.samples - self._taken(), 1.0)
+        updated = np.maximum(size / np.sqrt(left), NOISE_FLOOR * self.size)
         updated = np.where(self.estimated, updated, self.sigma)
         changed = bool((np.abs(updated / self.sigma - 1) > NOISE_CHANGE).any())
         self.sigma = updated
@@ -280,8 +293,8 @@ class _Fit:
             return ()
         sigma = iter(self.sigma)
         return tuple(
-            TraceFit(trace, np.asarray(fitted).T, {channel: float(next(sigma)) for channel in trace.channels})
-            for trace, fitted in zip(self.asked.traces, self.best.fitted, strict=True)
+            TraceFit(one, np.asarray(fitted).T, {channel: float(next(sigma)) for channel in one.channels})
+            for one, fitted in zip(self.asked.measured, self.best.fitted, strict=True)
         )
 
 

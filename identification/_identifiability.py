@@ -1,4 +1,4 @@
-"""Before a fit: can the traces say what is asked?"""
+"""Before a fit: can the measurements say what is asked?"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from millax import Case, SimulationError
 from millax._simulate import STATUS
 
 from ._evaluate import Evaluation, evaluate
+from ._loadtest import LoadTest
 from ._parameters import Parameter
 from ._question import Question, question
 from ._traces import Trace
@@ -26,7 +27,7 @@ class Prospect:
 
     - `name`, `unit`: of the parameter.
     - `guess`: in `unit`.
-    - `std`: expected standard error in `unit`; None where the traces leave the parameter open.
+    - `std`: expected standard error in `unit`; None where the measurements leave the parameter open.
     - `reason`: why, in words, with the others that it cannot be told apart from.
     """
 
@@ -39,7 +40,7 @@ class Prospect:
 
 @dataclass(frozen=True)
 class Check:
-    """Whether traces can say what is asked: the Fisher information at the guess.
+    """Whether the measurements can say what is asked: the Fisher information at the guess.
 
     - `parameters`: what is to be expected of each.
     - `correlation`: of the estimates, shape (n, n); NaN where there will be none.
@@ -55,31 +56,44 @@ class Check:
 
     @property
     def message(self) -> str:
-        """What the traces leave open, in words."""
+        """What the measurements leave open, in words."""
         if self.identifiable:
-            return f"The traces determine all {len(self.parameters)} parameters."
+            return f"The measurements determine all {len(self.parameters)} parameters."
         reasons = dict.fromkeys(parameter.reason for parameter in self.parameters if parameter.reason)
         return "At the guess " + "; ".join(reasons) + "."
 
 
-def check(case: Case | Sequence[Case], traces: Trace | Sequence[Trace], parameters: Sequence[Parameter | str]) -> Check:
-    """Ask before a fit what it can find: which parameters and combinations the traces determine, and how well.
+def check(
+    case: Case | Sequence[Case],
+    measured: Trace | LoadTest | Sequence[Trace | LoadTest],
+    parameters: Sequence[Parameter | str],
+) -> Check:
+    """Ask before a fit what it can find: which parameters and combinations the measurements determine, and how well.
 
-    At the guess the model's traces change by J with the parameters; the covariance that a fit can reach is (J^T J)^-1, J in
-    units of the noise. What was measured does not matter, only where, when and how well. Where the noise of a
-    channel is not known, 1 % of its root mean square is assumed.
+    At the guess what is measured changes in the model by J with the parameters; the covariance that a fit can reach is
+    (J^T J)^-1, J in units of the noise. What was measured does not matter, only where, when and how well. Where the noise of
+    a channel is not known, 1 % of its root mean square is assumed.
 
     **Arguments:** as of `fit`.
 
-    Raises `ValueError` for parameters and traces that cannot be used, and `SimulationError` where the simulation fails at
-    the guess.
+    Raises `ValueError` for parameters and measurements that cannot be used, and `SimulationError` where the simulation fails
+    at the guess, or the springs of a robot do not hold its loads.
     """
-    asked = question(case, traces, parameters)
+    asked = question(case, measured, parameters)
     y = jnp.zeros(len(asked.numbers))
     evaluation = evaluate(asked.cases, asked.case_of, asked.numbers, asked.comparisons, y)
     if status := int(evaluation.status):
         raise SimulationError(f"At the guess: {STATUS[status]}")
+    if not np.isfinite(evaluation.triangles).all():
+        raise SimulationError(f"At the guess: {not_finite(asked)}")
     return checked(asked, evaluation)
+
+
+def not_finite(asked: Question) -> str:
+    """What is said of an evaluation that is not finite."""
+    loaded = any(isinstance(one, LoadTest) for one in asked.measured)
+    why = ": the springs of the robot may not hold the loads of a load test" if loaded else ""
+    return f"the model or its derivatives are not finite{why}"
 
 
 def checked(asked: Question, evaluation: Evaluation) -> Check:

@@ -1,6 +1,6 @@
-"""What a fit is asked, checked: traces, their cases, and the free numbers."""
+"""What a fit is asked, checked: traces and load tests, their cases, and the free numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,50 +9,57 @@ from millax import Case
 from millax._runtime import double_precision
 
 from ._compare import Comparison, compare
+from ._deflection import Deflection, deflection
+from ._loadtest import LoadTest
+from ._measured import TraceError
 from ._parameters import FreeParameters, Parameter, free
-from ._traces import Trace, TraceError
+from ._traces import Trace
 
 
 @dataclass(frozen=True)
 class Question:
-    """What a fit is asked: traces, the case of each, its free numbers, and both ready to be compared."""
+    """What a fit is asked: what was measured, the case of each, its free numbers, and both ready to be compared."""
 
-    traces: tuple[Trace, ...]
+    measured: tuple[Trace | LoadTest, ...]
     cases: tuple[Case, ...]
     """Each once."""
     case_of: tuple[int, ...]
-    """Of each trace."""
+    """Of each measured."""
     numbers: FreeParameters
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[Comparison | Deflection, ...]
 
     @property
     def samples(self) -> np.ndarray:
-        """How many there are of each channel of each trace."""
-        return np.array([len(trace.time) for trace in self.traces for _ in trace.channels])
+        """How many there are of each channel of each trace or load test."""
+        return np.array([one.samples for one in self.measured for _ in one.channels])
 
     @property
     def size(self) -> np.ndarray:
         """Root mean square of each channel."""
-        return np.sqrt([np.mean(column**2) for trace in self.traces for column in trace.values.T])
+        return np.sqrt([np.mean(column**2) for one in self.measured for column in one.values.T])
 
     @property
     def noise(self) -> np.ndarray:
         """Standard deviation of each channel's noise, NaN where it is not known."""
-        return np.array([trace.noise.get(channel, np.nan) for trace in self.traces for channel in trace.channels])
+        return np.array([one.noise.get(channel, np.nan) for one in self.measured for channel in one.channels])
 
 
 def question(
-    case: Case | Sequence[Case], traces: Trace | Sequence[Trace], parameters: Sequence[Parameter | str]
+    case: Case | Sequence[Case],
+    measured: Trace | LoadTest | Sequence[Trace | LoadTest],
+    parameters: Sequence[Parameter | str],
 ) -> Question:
     """Arguments as of `fit`, checked. Raises `ValueError`."""
     if not double_precision():
         raise ValueError("a fit needs float64: call millax.set_up() before anything else")
-    traces = [traces] if isinstance(traces, Trace) else list(traces)
-    if not traces:
-        raise ValueError("no trace given; a fit needs at least one")
-    given = [case] * len(traces) if isinstance(case, Case) else list(case)
-    if len(given) != len(traces):
-        raise ValueError(f"{len(given)} cases given for {len(traces)} traces; give one case for all, or one per trace")
+    measured = [measured] if isinstance(measured, Trace | LoadTest) else list(measured)
+    if not measured:
+        raise ValueError("no trace given, and no load test; a fit needs at least one")
+    given = [case] * len(measured) if isinstance(case, Case) else list(case)
+    if len(given) != len(measured):
+        raise ValueError(
+            f"{len(given)} cases given for {len(measured)} traces and load tests; give one case for all, or one for each"
+        )
     cases: list[Case] = []
     case_of = []
     for one in given:
@@ -66,13 +73,29 @@ def question(
             free(other, asked)
         except ValueError as error:
             raise ValueError(f"case {i} of {len(cases)}: {error}") from error
-    comparisons = [compare(trace, one, numbers.names) for trace, one in zip(traces, given, strict=True)]
-    for trace in traces:
-        if len(trace.time) <= len(numbers):
-            raise TraceError(
-                f"{trace.name}: {len(trace.time)} samples for {len(numbers)} free parameters; give a longer trace"
-            )
-    return Question(tuple(traces), _settled(cases), tuple(case_of), numbers, tuple(comparisons))
+    comparisons = [compared(one, its, numbers.names) for one, its in zip(measured, given, strict=True)]
+    for one in measured:
+        _enough(one, len(numbers))
+    return Question(tuple(measured), _settled(cases), tuple(case_of), numbers, tuple(comparisons))
+
+
+def compared(one: Trace | LoadTest, case: Case, free_names: Collection[str]) -> Comparison | Deflection:
+    """A trace or load test, checked against its case and ready to be compared. Raises `TraceError`."""
+    return deflection(one, case) if isinstance(one, LoadTest) else compare(one, case, free_names)
+
+
+def _enough(one: Trace | LoadTest, free: int) -> None:
+    """Raise `TraceError` where there are so few samples that the fit could take their noise for zero."""
+    if one.samples > free:
+        return
+    if isinstance(one, Trace):
+        raise TraceError(f"{one.name}: {one.samples} samples for {free} free parameters; give a longer trace")
+    unknown = [channel for channel in one.channels if channel not in one.noise]
+    if unknown:
+        raise TraceError(
+            f"{one.name}: the noise of {unknown[0]} is not given, and {one.samples} measurements do not tell it "
+            f"beside {free} free parameters; give the noise"
+        )
 
 
 def _settled(cases: Sequence[Case]) -> tuple[Case, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from millax._names import value_of
 
 from . import _figures as figures
+from ._loadtest import LoadTest
 from ._result import STATUS, FitResult, TraceFit
 from ._words import interval, plain, unit_words, with_error
 
@@ -19,7 +20,7 @@ def write_report(path: Path, result: FitResult, *, title: str, truth: Mapping[st
     """Write the report of a fit.
 
     `title` names the question; `truth` holds the true SI values by parameter name, where they are known because the
-    traces are synthetic.
+    measurements are synthetic.
     """
     template = resources.files("identification").joinpath("report.html.jinja").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -38,16 +39,30 @@ def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str
         "rows": rows,
         "has_truth": any(row["truth"] is not None for row in rows),
         "traces": [
-            {
-                "name": fit.trace.name,
-                "samples": len(fit.trace.time),
-                "channels": _channels(fit),
-                "fitted": figures.measured_and_fitted(fit, tooth_period),
-                "residuals": figures.residuals(fit, tooth_period),
-            }
+            {"name": fit.trace.name, "channels": _channels(fit)} | _pictures(fit, tooth_period)
             for fit, tooth_period in zip(result.traces, periods, strict=False)  # a fit that never ran has no traces
         ],
         "correlation": figures.correlation(result) if np.isfinite(result.correlation).sum() > 1 else None,
+    }
+
+
+def _pictures(fit: TraceFit, tooth_period: float) -> dict[str, str]:
+    """The pictures of a trace or load test, and what is said below them."""
+    if isinstance(fit.trace, LoadTest):
+        return {
+            "fitted": figures.measured_against_fitted(fit),
+            "fitted_caption": "Each measurement above what the model with the estimates says, with ± 1 σ. Dashed: both are "
+            f"equal. {fit.trace.samples} measurements.",
+            "residuals": figures.residuals_by_number(fit),
+            "residuals_caption": "Measured less fitted. A model that leaves only noise has points without order, 19 of "
+            "20 of them between the dashed lines.",
+        }
+    return {
+        "fitted": figures.measured_and_fitted(fit, tooth_period),
+        "fitted_caption": f"Grey: measured. Colour: the model with the estimates. {fit.trace.samples} samples.",
+        "residuals": figures.residuals(fit, tooth_period),
+        "residuals_caption": "Measured less fitted. A model that leaves only noise has a band of even width, a flat "
+        "spectrum on the dashed line, and the normal distribution. Lines in the spectrum are what the model misses.",
     }
 
 
@@ -96,7 +111,7 @@ def _summary(result: FitResult, rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _channels(fit: TraceFit) -> list[dict[str, Any]]:
-    """Goodness of fit per channel, in the unit of the trace."""
+    """Goodness of fit per channel, in the unit in which it was measured."""
     return [
         {
             "name": channel,

@@ -9,12 +9,13 @@ import numpy as np
 
 from millax import Case
 
+from ._loadtest import LoadTest
 from ._traces import Trace
 
 STATUS = {
     "converged": "every parameter is known",
-    "not_identifiable": "the traces do not determine every parameter",
-    "at_bound": "a bound decides a parameter, not the traces",
+    "not_identifiable": "the measurements do not determine every parameter",
+    "at_bound": "a bound decides a parameter, not the measurements",
     "not_converged": "the solver did not reach an optimum",
     "interrupted": "stopped before the optimum",
     "cannot_start": "there is nothing to start from at the guess",
@@ -57,22 +58,22 @@ class Estimate:
 
 @dataclass(frozen=True)
 class TraceFit:
-    """A trace beside the fitted model.
+    """A trace or load test beside the fitted model.
 
     **Attributes:**
 
-    - `trace`: the measurement.
-    - `fitted`: the model at the sample times [N, m], shape (samples, channels).
-    - `sigma`: standard deviation of the noise per channel [N, m], known or estimated.
+    - `trace`: what was measured.
+    - `fitted`: the model, SI, shape (samples, channels): at the sample times, or of each deflection.
+    - `sigma`: standard deviation of the noise per channel, SI, known or estimated.
     """
 
-    trace: Trace
+    trace: Trace | LoadTest
     fitted: np.ndarray
     sigma: Mapping[str, float]
 
     @property
     def residuals(self) -> np.ndarray:
-        """Measured - fitted [N, m], shape (samples, channels)."""
+        """Measured - fitted, SI, shape (samples, channels)."""
         return self.trace.values - self.fitted
 
     @property
@@ -87,7 +88,7 @@ class TraceFit:
 
     @property
     def rmse(self) -> dict[str, float]:
-        """Root mean square of the residuals per channel [N, m]."""
+        """Root mean square of the residuals per channel, SI."""
         rms = np.sqrt((self.residuals**2).mean(0))
         return {channel: float(x) for channel, x in zip(self.trace.channels, rms, strict=True)}
 
@@ -95,7 +96,7 @@ class TraceFit:
         shown = self.trace.shown
         return {
             "name": self.trace.name,
-            "samples": len(self.trace.time),
+            "samples": self.trace.samples,
             "r2": {channel: _finite(x) for channel, x in self.r2.items()},
             "rmse": {channel: _finite(shown(channel, x)) for channel, x in self.rmse.items()},
             "noise": {channel: _finite(shown(channel, x)) for channel, x in self.sigma.items()},
@@ -114,8 +115,8 @@ class FitResult:
     - `message`: the outcome in words, with what to try.
     - `parameters`: the estimates, in the order asked for.
     - `correlation`: of the estimates, shape (n, n); NaN where no uncertainty can be given.
-    - `traces`: each trace beside the fitted model.
-    - `cases`: of each trace, its case with the estimates in it.
+    - `traces`: each trace and load test beside the fitted model, in the order given.
+    - `cases`: of each of them, its case with the estimates in it.
     - `begun`: whether there was anything to start from; if not, the estimates are the guesses.
     - `iterations`: evaluations of model and Jacobian.
     - `seconds`: wall time, compilation included.
@@ -137,7 +138,7 @@ class FitResult:
 
     @property
     def case(self) -> Case:
-        """The case of the first trace, with the estimates in it."""
+        """The case of the first trace or load test, with the estimates in it."""
         return self.cases[0]
 
     @property

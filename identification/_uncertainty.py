@@ -1,4 +1,4 @@
-"""What the traces say about each parameter: covariance, intervals, and which questions have no answer.
+"""What was measured says about each parameter: covariance, intervals, and which questions have no answer.
 
 At the optimum the residuals whitened with their noise have the Jacobian J with respect to the solver's coordinates y.
 The covariance of y is (J^T J)^-1, the inverse Fisher information. A standard error of a parameter follows by its slope
@@ -72,7 +72,7 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
     value, slope = np.asarray(free.values(y)), np.asarray(free.slopes(y))
     at_bound = at_bounds(free, y)
     reason: list[str | None] = [
-        f"the optimum lies at a bound: the bound decides {name}, not the traces" if held else None
+        f"the optimum lies at a bound: the bound decides {name}, not the measurements" if held else None
         for name, held in zip(free.names, at_bound, strict=True)
     ]
     dead = insensitive(jacobian)
@@ -104,7 +104,7 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
             shown, unit = free.shown(i, abs(slope[i]) * std_y[i]), free.units[i]
             reason[i] = (
                 f"the standard error of {free.names[i]}, about {shown:.2g} {unit}".rstrip()
-                + f", is too large against its value, {free.shown(i, value[i]):.3g}: the traces hardly depend on it"
+                + f", is too large against its value, {free.shown(i, value[i]):.3g}: the measurements hardly depend on it"
             )
     given = np.array([text is None for text in reason])
     scale = np.where(given, std_y, np.nan)
@@ -128,7 +128,9 @@ def _drowned(free: FreeParameters, i: int, live, covariance, slope, value) -> st
     if len(involved) == 1:
         return None
     change = direction * slope[live] / np.where(value[live] != 0, value[live], 1.0)
-    return _combination([free.names[live[k]] for k in involved], change[involved], "the traces by less than their noise")
+    return _combination(
+        [free.names[live[k]] for k in involved], change[involved], "the measurements by less than their noise"
+    )
 
 
 def _combination(names: list[str], change: np.ndarray, what: str = "nothing that was measured") -> str:

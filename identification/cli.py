@@ -19,8 +19,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     from millax import CaseError, SimulationError
 
+    from ._measured import TraceError
     from ._output import complain, notes
-    from ._traces import TraceError
 
     try:
         with notes():
@@ -56,15 +56,15 @@ def _parser() -> argparse.ArgumentParser:
 
     fit = commands.add_parser(
         "fit",
-        help="identify parameters from measured traces",
-        description="Fit the parameters named in the [fit] table of a case file to its traces. Writes result.json, "
-        "fitted.toml (the case with the estimates in it) and report.html.",
+        help="identify parameters from measured traces and deflections",
+        description="Fit the parameters named in the [fit] table of a case file to its traces and load tests. Writes "
+        "result.json, fitted.toml (the case with the estimates in it) and report.html.",
     )
     _add_paths(fit)
     fit.add_argument(
         "--no-check",
         action="store_true",
-        help="begin also where the traces cannot determine what is asked",
+        help="begin also where the measurements cannot determine what is asked",
     )
     fit.set_defaults(run=_fit)
 

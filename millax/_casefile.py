@@ -73,7 +73,7 @@ class CaseFile:
 
     @functools.cached_property
     def tables(self) -> dict[str, Any]:
-        """The file as plain dictionaries, lists and values, with the tables of fits and traces."""
+        """The file as plain dictionaries, lists and values, with the tables of fits and measurements."""
         import tomlkit
 
         return tomlkit.parse(self.text).unwrap()
@@ -150,7 +150,7 @@ def load_case(case: str | os.PathLike | Mapping[str, Any]) -> Case:
       ("10000 rpm").
 
     Raises `CaseError`, a `ValueError`: no such file, broken TOML, a key that is unknown or missing, a wrong unit or
-    type, a value out of range, a stock that the tool never meets. The tables of fits and traces are left alone.
+    type, a value out of range, a stock that the tool never meets. The tables of fits and measurements are left alone.
     """
     return _case(case, "case") if isinstance(case, Mapping) else CaseFile.read(case).case
 

@@ -354,5 +354,5 @@ def table_of(tables: Mapping[str, Any], section: str) -> Any:
     return found
 
 
-OTHER_TABLES = ("fit", "trace")
+OTHER_TABLES = ("fit", "trace", "load_test")
 """Tables that a case file may hold for the package `identification`, which reads and checks them."""

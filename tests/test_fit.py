@@ -170,7 +170,7 @@ def test_what_a_check_expects_is_what_a_fit_finds(rigid_trace):
     found = fit(RIGID, rigid_trace, ["force.k0", "force.kr"])
     trace = dataclasses.replace(rigid_trace, noise=dict(found.traces[0].sigma))
     known = check(found.case, trace, ["force.k0", "force.kr"])
-    assert known.message == "The traces determine all 2 parameters."
+    assert known.message == "The measurements determine all 2 parameters."
     np.testing.assert_allclose([p.std for p in known.parameters], [e.std for e in found.parameters], rtol=1e-6)
     np.testing.assert_allclose(known.correlation, found.correlation, atol=1e-6)
 
@@ -197,7 +197,7 @@ def test_traces_of_several_cuts_are_fitted_as_one(rigid_trace):
     assert [float(case.cut.feed_rate) for case in result.cases] == [float(case.cut.feed_rate) for case in feeds]
     alone = fit(feeds[1], traces[1], asked)
     assert alone["force.hs"].std > 2 * result["force.hs"].std  # one feed alone hardly knows the curve of the law
-    with pytest.raises(ValueError, match="2 cases given for 4 traces"):
+    with pytest.raises(ValueError, match="2 cases given for 4 traces and load tests"):
         fit(feeds[:2], traces, asked)
 
 

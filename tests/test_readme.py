@@ -48,7 +48,7 @@ def test_the_tables_of_a_fit_are_accepted(tmp_path):
 
 
 def test_a_robot_takes_the_place_of_the_structure_and_has_poses(tmp_path):
-    case, _, robot, poses = blocks("toml")
+    case, _, robot, poses, load_test = blocks("toml")
     other = re.sub(r"\[structure\].*?(?=\[simulation\])", lambda _: robot, case, flags=re.DOTALL)
     rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
     for name in ("pose1.csv", "pose2.csv"):
@@ -57,6 +57,10 @@ def test_a_robot_takes_the_place_of_the_structure_and_has_poses(tmp_path):
     problem = load_fit(tmp_path / "case.toml")
     assert [round(float(case.robot.joints[0]), 4) for case in problem.cases] == [1.5708, 1.0472]
     assert [p.name for p in problem.parameters] == ["robot.compliance.joint_4"]
+    header = "q1 [deg],q2 [deg],q3 [deg],q4 [deg],q5 [deg],q6 [deg],Fx [N],Fy [N],Fz [N],x [um],y [um],z [um]"
+    (tmp_path / "deflections.csv").write_text(f"{header}\n10,-50,120,180,25,180,0,0,-500,1,2,-300\n", encoding="utf-8")
+    (tmp_path / "both.toml").write_text((tmp_path / "case.toml").read_text() + load_test, encoding="utf-8")
+    assert len(load_fit(tmp_path / "both.toml").traces) == 3
 
 
 @pytest.mark.parametrize("target", sorted(t for t in set(re.findall(r"\]\(([^)]+)\)", TEXT)) if not t.startswith("https:")))

@@ -128,7 +128,7 @@ def test_what_is_not_known_is_said_and_not_numbered(tmp_path):
     nan = np.nan
     fit = result(status="not_identifiable", parameters=unknown, correlation=np.array([[nan, nan], [nan, 1]]))
     html, _, text = page(tmp_path, fit, truth={"force.k0": 5e9})
-    assert "Not identifiable: the traces do not determine every parameter" in text
+    assert "Not identifiable: the measurements do not determine every parameter" in text
     assert "force.k0, cut.depth cannot be told apart" in text
     assert "nan" not in html.replace("nano", "").lower().split("<svg")[0]
     assert "Correlation of the estimates" not in text

@@ -96,7 +96,7 @@ def broken(row, column, value):
         (text(table(), "x [m],Fx [N],y [m]"), {}, ["no column time"]),
         (text(table()), {"channels": ["Fy"]}, ["no column Fy", HEADER.replace(",", ", ")]),
         (text(table()), {"channels": ["Fq"]}, ["'Fq' is unknown"]),
-        (text([[r[0]] for r in table()], "time [s]"), {}, ["no channel beside the time"]),
+        (text([[r[0]] for r in table()], "time [s]"), {}, ["no channel beside time"]),
         (text([[r[0], 0, 1] for r in table()]), {}, ["channel Fx is zero throughout"]),
         (text(table()).replace(",", ";"), {}, ["semicolons"]),
         (b"\xff\xfe\x00binary\x00", {}, ["UTF-8"]),

@@ -203,7 +203,7 @@ class ElasticRobot(eqx.Module):
         Differentiable, by the implicit function theorem. Raises `ValueError` for passive joints, which hold nothing, and
         where there is no equilibrium nearby: the loads are beyond what the springs hold. Traced, it is NaN there.
         """
-        self._no_passive("leave the loads out")
+        self.require_springs("leave the loads out")
         return _found(self._equilibrium(self.robot.coordinates_of(q), loads), loads)
 
     @eqx.filter_jit
@@ -233,7 +233,7 @@ class ElasticRobot(eqx.Module):
         Raises what `equilibrium` raises.
         """
         if loads is not None:
-            self._no_passive("leave the loads out")
+            self.require_springs("leave the loads out")
         at = self._at_tool(self.robot.coordinates_of(q), loads)
         _found(at.coordinates, loads)
         return at
@@ -264,7 +264,7 @@ class ElasticRobot(eqx.Module):
 
         Raises `ValueError` for passive joints, and what `equilibrium` raises.
         """
-        self._no_passive("take the stiffness")
+        self.require_springs("take the stiffness")
         return _found(self._tool_compliance(self.robot.coordinates_of(q), loads), loads)
 
     @eqx.filter_jit
@@ -342,7 +342,8 @@ class ElasticRobot(eqx.Module):
         """M_theta of the robot that nothing loads."""
         return self.bodies(self.extended(q)).mass_matrix
 
-    def _no_passive(self, what: str) -> None:
+    def require_springs(self, what: str) -> None:
+        """Raise `ValueError` where a joint is passive; `what` is what else to do than to give it a spring."""
         given = concrete(self.compliance)
         if given is not None and np.isinf(given).any():
             name = self.robot.names[int(np.argmax(np.isinf(given)))]
