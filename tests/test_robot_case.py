@@ -546,12 +546,8 @@ def test_elastic_links_and_what_follows_from_more_springs_than_six():
 # Simulations
 
 
-@pytest.fixture(scope="module")
-def simulated(file):
-    return mx.simulate(file.case)
-
-
-def test_a_simulation_is_that_of_the_structure_made_by_hand(file, simulated):
+def test_a_simulation_is_that_of_the_structure_made_by_hand(file):
+    simulated = mx.simulate(file.case)
     case = eqx.tree_at(lambda c: c.structure, file.case, by_hand(file.case.robot), is_leaf=lambda x: isinstance(x, Arm))
     expected = mx.simulate(case)
     assert simulated.axes == ("x", "y", "z")
@@ -572,33 +568,23 @@ def test_in_the_mean_the_tool_gives_way_as_the_force_and_the_compliance_say():
     assert np.abs(moved[2]) > 0.01 * np.abs(moved).max()
 
 
-@pytest.fixture(scope="module")
-def differentiated():
-    """Displacement by factors of the compliances: the function, its Jacobian forwards, and a projection backwards."""
+def test_derivatives_by_each_compliance_both_ways_and_beside_differences():
+    """Of the displacement, by factors of the compliances."""
     case = case_file(text=FREE).case
 
     def displacement(factors):
         values = {f"robot.compliance.joint_{i + 1}": COMPLIANCE[i] * factors[i] for i in range(6)}
         return mx.simulate(replace(case, values), throw=False).displacement.ravel() / 1e-5
 
-    one = jnp.ones(6)
+    one, value = jnp.ones(6), jax.jit(displacement)
     forward = jax.jit(jax.jacfwd(displacement))(one)
     weights = jax.random.normal(jax.random.key(0), (len(forward),))
-    return jax.jit(displacement), forward, weights, jax.jit(jax.grad(lambda f: displacement(f) @ weights))(one)
-
-
-def test_derivatives_of_a_simulation_backwards_are_those_forwards(differentiated):
-    _, forward, weights, backward = differentiated
+    backward = jax.jit(jax.grad(lambda factors: displacement(factors) @ weights))(one)
     assert worst(backward, weights @ forward) < 1e-9
-
-
-def test_derivatives_of_a_simulation_by_each_compliance_beside_differences(differentiated):
-    displacement, forward, _, _ = differentiated
-    for i in range(6):
-        column = forward[:, i]
+    for i, column in enumerate(forward.T):
         step = np.zeros(6)
         step[i] = 1e-5
-        difference = (displacement(1 + step) - displacement(1 - step)) / 2e-5
+        difference = (value(1 + step) - value(1 - step)) / 2e-5
         assert np.abs(column).max() > 1e-3
         assert np.abs(column - difference).max() < 1e-6 * np.abs(column).max()
 

@@ -336,25 +336,11 @@ def felt(change):
     return jnp.concatenate([at.stiffness.ravel() / 1e7, mass.ravel() / 1e3, frequency / 100])
 
 
-@pytest.fixture(scope="module")
-def derivatives():
-    """`felt`, its Jacobian forwards, and a projection of it backwards."""
-    at, weights = jnp.zeros(sum(NUMBERS.values())), jax.random.normal(jax.random.key(0), (78,))
-    return (
-        jax.jit(felt),
-        jax.jit(jax.jacfwd(felt))(at),
-        weights,
-        jax.jit(jax.grad(lambda change: felt(change) @ weights))(at),
-    )
-
-
-def test_derivatives_backwards_are_those_forwards(derivatives):
-    _, forward, weights, backward = derivatives
+def test_derivatives_both_ways_and_beside_differences():
+    one, weights = jnp.zeros(sum(NUMBERS.values())), jax.random.normal(jax.random.key(0), (78,))
+    value, forward = jax.jit(felt), jax.jit(jax.jacfwd(felt))(one)
+    backward = jax.jit(jax.grad(lambda change: felt(change) @ weights))(one)
     assert worst(backward, weights @ forward) < 1e-11
-
-
-def test_derivatives_beside_differences(derivatives):
-    value, forward, _, _ = derivatives
     for index, column in enumerate(forward.T):
         step = np.zeros(len(forward.T))
         step[index] = 1e-5
