@@ -277,7 +277,8 @@ class ElasticRobot(eqx.Module):
         """M_C = B^T M_theta B (E 10, 19): the mass at the tool, in the same axes [kg, kg m; kg m, kg m²].
 
         B are the deflections that a displacement of the tool brings about at rest. With six springs that is J^-1, and
-        M_C = J^-T M_theta J^-1 (C 25, which prints J^T M J); with more, Rayleigh and Ritz's approximation.
+        M_C = J^-T M_theta J^-1 (C 25, which prints J^T M J); with more, an approximation after Rayleigh and Ritz, good for
+        the first three modes.
 
         **Arguments:** as of `at_tool`.
         """
