@@ -20,6 +20,7 @@ test: $(VENV)/.installed-test
 
 # Figures of accuracy beside the papers' and beside other programs', some of which only the tests bring.
 validate: $(VENV)/.installed-test
+	$(BIN)/pytest -n 2 -m long
 	$(BIN)/python -m benchmarks.validate
 
 # Figures of speed.

@@ -176,6 +176,7 @@ def test_one_pose_and_one_force_do_not_tell_six_compliances(clean):
     assert "measured" in result.message
 
 
+@pytest.mark.long
 def test_a_trace_and_a_load_test_together_know_more_than_either(clean):
     case = robot_case(None)
     asked = [*GUESSES[:3], Parameter("robot.tool.mass", 20.0)]

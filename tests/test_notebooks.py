@@ -11,7 +11,15 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+LONG = ("02", "03", "04")
+"""Notebooks that take most of a minute each."""
+
+
+def _marked(path: Path):
+    return pytest.param(path, marks=pytest.mark.long) if path.stem.startswith(LONG) else path
+
+
+@pytest.mark.parametrize("path", map(_marked, NOTEBOOKS), ids=[path.stem for path in NOTEBOOKS])
 def test_a_notebook_runs(path):
     environment = os.environ | {"MPLBACKEND": "Agg"}
     run = subprocess.run([sys.executable, path.name], cwd=path.parent, env=environment, capture_output=True, text=True)

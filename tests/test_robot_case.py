@@ -568,27 +568,7 @@ def test_in_the_mean_the_tool_gives_way_as_the_force_and_the_compliance_say():
     assert np.abs(moved[2]) > 0.01 * np.abs(moved).max()
 
 
-def test_derivatives_by_each_compliance_both_ways_and_beside_differences():
-    """Of the displacement, by factors of the compliances."""
-    case = case_file(text=FREE).case
-
-    def displacement(factors):
-        values = {f"robot.compliance.joint_{i + 1}": COMPLIANCE[i] * factors[i] for i in range(6)}
-        return mx.simulate(replace(case, values), throw=False).displacement.ravel() / 1e-5
-
-    one, value = jnp.ones(6), jax.jit(displacement)
-    forward = jax.jit(jax.jacfwd(displacement))(one)
-    weights = jax.random.normal(jax.random.key(0), (len(forward),))
-    backward = jax.jit(jax.grad(lambda factors: displacement(factors) @ weights))(one)
-    assert worst(backward, weights @ forward) < 1e-9
-    for i, column in enumerate(forward.T):
-        step = np.zeros(6)
-        step[i] = 1e-5
-        difference = (value(1 + step) - value(1 - step)) / 2e-5
-        assert np.abs(column).max() > 1e-3
-        assert np.abs(column - difference).max() < 1e-6 * np.abs(column).max()
-
-
+@pytest.mark.long
 def test_a_sweep_over_joints_and_compliances(file):
     joints, compliance = np.deg2rad([-50.0, -55.0]), np.array([2.6e-7, 3e-7])
     grid = {"robot.joints.joint_2": joints, "robot.compliance.joint_1": compliance, "robot.loads.force.x": 100.0}

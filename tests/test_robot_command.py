@@ -138,6 +138,7 @@ def test_a_map_is_one_program(arm, monkeypatch):
     assert traced in ([True], [True, True])
 
 
+@pytest.mark.long
 def test_under_loads(arm):
     force = np.array([100.0, 200.0, -50.0])
     loaded = eqx.tree_at(lambda a: a.loads, arm, Loads(force), is_leaf=lambda x: x is None)
@@ -173,6 +174,7 @@ def test_default_values_are_between_the_limits_and_beyond_them_is_nothing():
         stiffness_map(limited, {TWO: "10, 20 deg", THREE: "80, 90 deg"})
 
 
+@pytest.mark.long
 def test_elastic_links_have_their_part(arm):
     tubes = {"joint_2": Beam.tube(0.3, 0.28)}
     elastic = Arm(arm.robot, arm.joints, arm.compliance, damping=np.full(6, 50.0), beams=tubes)

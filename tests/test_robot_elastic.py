@@ -37,7 +37,7 @@ def motions(robot: ElasticRobot, q, loads: Loads, derivative):
     return jnp.concatenate([change[:3], jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])])
 
 
-@pytest.mark.parametrize("beams", ARMS.values(), ids=ARMS)
+@pytest.mark.parametrize("beams", [ARMS["rigid links"], pytest.param(ARMS["beams"], marks=pytest.mark.long)], ids=ARMS)
 def test_the_stiffness_under_loads_is_that_of_the_equilibrium(beams):
     for make, q in itertools.product((models.kuka_kr270, models.kuka_kr210_r2700_2), POSES.values()):
         robot = arm(make, beams)

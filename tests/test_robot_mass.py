@@ -336,6 +336,7 @@ def felt(change):
     return jnp.concatenate([at.stiffness.ravel() / 1e7, mass.ravel() / 1e3, frequency / 100])
 
 
+@pytest.mark.long
 def test_derivatives_both_ways_and_beside_differences():
     one, weights = jnp.zeros(sum(NUMBERS.values())), jax.random.normal(jax.random.key(0), (78,))
     value, forward = jax.jit(felt), jax.jit(jax.jacfwd(felt))(one)

@@ -186,6 +186,7 @@ def test_two_of_the_same_robot_are_twice_as_stiff_and_as_heavy():
     np.testing.assert_allclose(robot.modes([Q, Q]).frequency, leg.modes(Q).frequency, rtol=1e-13)
 
 
+@pytest.mark.long
 def test_derivatives_beside_differences():
     """By springs, the diameter of a beam, places, masses, and how the legs stand."""
     robot, q = platform(beam=Beam.tube(0.08, 0.06))
