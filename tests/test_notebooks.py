@@ -19,7 +19,7 @@ def _marked(path: Path):
     return pytest.param(path, marks=pytest.mark.long) if path.stem.startswith(LONG) else path
 
 
-@pytest.mark.parametrize("path", map(_marked, NOTEBOOKS), ids=[path.stem for path in NOTEBOOKS])
+@pytest.mark.parametrize("path", [_marked(path) for path in NOTEBOOKS], ids=[path.stem for path in NOTEBOOKS])
 def test_a_notebook_runs(path):
     environment = os.environ | {"MPLBACKEND": "Agg"}
     run = subprocess.run([sys.executable, path.name], cwd=path.parent, env=environment, capture_output=True, text=True)
