@@ -61,9 +61,10 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
     has none, a trace sampled too coarsely or too short for the tooth period, and one that begins before the
     simulation or ends after it.
     """
+    axes = case.at_tool.axes
     for channel in trace.channels:
-        if channel in AXES and channel not in case.at_tool.axes:
-            moves = f"only along {', '.join(case.at_tool.axes)}" if case.at_tool.axes else "not at all: it is rigid"
+        if channel in AXES and channel not in axes:
+            moves = f"only along {', '.join(axes)}" if axes else "not at all: it is rigid"
             raise TraceError(
                 f"{trace.name}: channel {channel}: the structure of the case moves {moves}. Leave the channel out, or "
                 "add the axis to the structure"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from millax import Case, Simulation, simulate
@@ -25,6 +26,11 @@ class Evaluation(eqx.Module):
     fitted: tuple[Float[Array, "channels samples"], ...]
     status: Array
     covered: Array
+
+    def whitened(self, sigma: Float[np.ndarray, " channels"]) -> Float[np.ndarray, "n+1 n+1"]:
+        """The triangular factor of [J, r] over all channels, in units of their noise."""
+        rows = np.asarray(self.triangles) / sigma[:, None, None]
+        return np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
 
 
 @eqx.filter_jit

@@ -220,9 +220,8 @@ class _Fit:
         return min(case.settings.sweeps for case in self.cases)
 
     def _whitened(self, evaluation: Evaluation) -> np.ndarray:
-        """The triangular factor of [J, r] over all channels, in units of the noise."""
-        rows = np.asarray(evaluation.triangles) / self.sigma[:, None, None]
-        return np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
+        """At the present noise."""
+        return evaluation.whitened(self.sigma)
 
     def _distance(self) -> float:
         """Length of the Gauss-Newton step in standard errors; parameters at their bounds go no further."""

@@ -100,9 +100,7 @@ def checked(asked: Question, evaluation: Evaluation) -> Check:
     """The `Check` of an evaluation at the guess."""
     numbers = asked.numbers
     sigma = np.where(np.isnan(asked.noise), ASSUMED * asked.size, asked.noise)
-    rows = np.asarray(evaluation.triangles) / sigma[:, None, None]
-    whitened = np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
-    known = uncertainty(numbers, np.zeros(len(numbers)), whitened[:, :-1])
+    known = uncertainty(numbers, np.zeros(len(numbers)), evaluation.whitened(sigma)[:, :-1])
     prospects = tuple(_prospect(asked, known, i) for i in range(len(numbers)))
     return Check(prospects, known.correlation)
 

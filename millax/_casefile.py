@@ -20,7 +20,7 @@ from ._settings import Settings
 from ._stock import Stock, passage
 from ._structure import Structure
 from ._tool import EndMill
-from ._units import EXPONENT, in_mm, show
+from ._units import EXPONENT, in_mm
 from .robot import Arm
 
 
@@ -238,13 +238,11 @@ def _sections(tables: Mapping[str, Any]) -> dict[str, Section]:
         if name not in SECTIONS:
             hint = _owner(name) or _nearest(name, SECTIONS)
             raise ValueError(f"[{name}] is not a table of a case file.{hint}\n  Tables: {', '.join(SECTIONS)}")
-    if "force" not in tables:
+    if (force := table_of(tables, "force")) is None:
         return SECTIONS
-    if not isinstance(tables["force"], Mapping):
-        raise ValueError(f"force: {show(tables['force'])} given; it must be a table, [force]")
-    if "law" not in tables["force"]:
+    if "law" not in force:
         raise ValueError(f"force.law is missing.\n  [force] takes: {SECTIONS['force']} and the keys of the law")
-    law = SECTIONS["force"].keys["law"].read("force.law", tables["force"]["law"], tables["force"])
+    law = SECTIONS["force"].keys["law"].read("force.law", force["law"], force)
     return SECTIONS | {"force": FORCE[str(law)]}
 
 
@@ -252,8 +250,6 @@ def _read(name: str, section: Section, table: Mapping[str, Any] | None) -> dict[
     """The values of the table called `name`, in SI. Raises `ValueError`."""
     inner = [f"[{name}.{table}]" for table in _inner(name)]
     takes = f"\n  [{name}] takes: {section}" + (f"; and the tables {', '.join(inner)}" if inner else "")
-    if table is not None and not isinstance(table, Mapping):
-        raise ValueError(f"{name}: {show(table)} given; it must be a table, [{name}]")
     if table is None:
         if section.required:
             raise ValueError(f"the table [{name}] is missing.{takes}")

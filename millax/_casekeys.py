@@ -347,10 +347,12 @@ in `FORCE`."""
 
 
 def table_of(tables: Mapping[str, Any], section: str) -> Any:
-    """The table of this name, None where there is none."""
+    """The table of this name, None where there is none. Raises `ValueError` for what is no table."""
     found: Any = tables
     for name in section.split("."):
         found = found.get(name) if isinstance(found, Mapping) else None
+    if found is not None and not isinstance(found, Mapping):
+        raise ValueError(f"{section}: {show(found)} given; it must be a table, [{section}]")
     return found
 
 

@@ -49,7 +49,8 @@ def resolution(case: Case, fewest: int = 80) -> int:
 
 def delay_equation(case: Case, steps: int) -> DelayEquation:
     """Of a steady case, with `steps` steps in a tooth period."""
-    structure, n = case.at_tool, case.at_tool.coordinates
+    structure = case.at_tool
+    n = structure.coordinates
     process = process_matrices(case, steps)
     dt = case.cut.tooth_period(case.tool) / steps
     shapes = structure.in_plane_shapes

@@ -13,7 +13,7 @@ from ._cut import Cut
 from ._forces import ForceLaw
 from ._gain import COMPILED, DISPATCHED, SPARE, TOLERANCE, gain_kernel, sweeps_needed
 from ._runtime import loops_are_compiled
-from ._structure import Structure
+from ._structure import Structure, free_rates
 from ._tool import EndMill
 from ._types import Scalar, as_number
 
@@ -131,13 +131,9 @@ class Settings(eqx.Module):
 
 def fastest_rate(mass, damping, stiffness) -> np.ndarray:
     """Largest modulus of the eigenvalues of M q'' + C q' + K q = 0 [1/s], 0 for a rigid tool. Leading axes are a batch."""
-    mass, damping, stiffness = map(np.asarray, (mass, damping, stiffness))
-    n = mass.shape[-1]
-    if n == 0:
-        return np.zeros(mass.shape[:-2])
-    acceleration = -np.linalg.solve(mass, np.concatenate([stiffness, damping], axis=-1))
-    velocity = np.broadcast_to(np.eye(n, 2 * n, n), acceleration.shape)
-    return np.abs(np.linalg.eigvals(np.concatenate([velocity, acceleration], axis=-2))).max(axis=-1)
+    if np.shape(mass)[-1] == 0:
+        return np.zeros(np.shape(mass)[:-2])
+    return np.abs(np.linalg.eigvals(free_rates(mass, damping, stiffness))).max(axis=-1)
 
 
 def require_resolved(fastest: float, period: float, steps_per_tooth: int) -> None:

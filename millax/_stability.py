@@ -26,6 +26,7 @@ from ._runtime import double_precision
 from ._settings import Settings, block_options
 from ._simulate import SINGLE_PRECISION
 from ._steady import TOGETHER, along_feed, is_traced, process_matrices, seen, steady, with_cut
+from ._structure import free_rates
 from ._types import Scalar
 from ._units import parse, si_scale
 from ._values import Given, Values, read
@@ -347,13 +348,9 @@ def _lowest(case: Case, speed, feed, borders) -> float:
             "tool.diameter"
         )
     s = case.at_tool
-    modes = np.array([s.mass_matrix, s.damping_matrix, s.stiffness_matrix])
-    mass, damping, stiffness = modes
     shapes = np.asarray(s.in_plane_shapes)
-    compliance = np.linalg.norm(shapes @ np.linalg.solve(stiffness, shapes.T), 2)
-    n = len(mass)
-    rates = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, np.hstack([stiffness, damping]))]])
-    values = np.linalg.eigvals(rates)
+    compliance = np.linalg.norm(shapes @ np.linalg.solve(np.asarray(s.stiffness_matrix), shapes.T), 2)
+    values = np.linalg.eigvals(free_rates(s.mass_matrix, s.damping_matrix, s.stiffness_matrix))
     ratio = float(np.min(-values.real / np.abs(values)))
     return float(2 * max(ratio, 1e-6) / (compliance * process))
 

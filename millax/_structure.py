@@ -120,5 +120,14 @@ class Structure(eqx.Module):
         return jnp.stack(rows)
 
 
+def free_rates(mass, damping, stiffness) -> Float[np.ndarray, "*batch states states"]:
+    """The matrix A of (q, q')' = A (q, q') for M q'' + C q' + K q = 0, in NumPy. Leading axes are a batch."""
+    mass, damping, stiffness = map(np.asarray, (mass, damping, stiffness))
+    n = mass.shape[-1]
+    acceleration = -np.linalg.solve(mass, np.concatenate([stiffness, damping], axis=-1))
+    velocity = np.broadcast_to(np.eye(n, 2 * n, n), acceleration.shape)
+    return np.concatenate([velocity, acceleration], axis=-2)
+
+
 def _matrix(value: Array, n: int) -> Matrix:
     return value if value.ndim == 2 else jnp.diag(jnp.broadcast_to(value, (n,)))

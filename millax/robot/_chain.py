@@ -301,6 +301,11 @@ class Robot(eqx.Module):
         return jnp.concatenate([self.xyz[1:], self.flange.xyz[None]])
 
     @property
+    def length(self) -> float:
+        """How long it is, stretched out, without what its slides add [m]. Needs concrete numbers."""
+        return float(np.linalg.norm(self.ends, axis=1).sum())
+
+    @property
     def _turning(self) -> np.ndarray:
         return np.array([kind == "revolute" for kind in self.kinds])
 

@@ -297,9 +297,7 @@ class ElasticRobot(eqx.Module):
         jacobian = concrete(self._jacobian(q))
         if jacobian is None:
             return
-        length = float(np.linalg.norm(self.robot.ends, axis=1).sum()) or 1.0
-        scaled = jacobian * np.repeat([1 / length, 1.0], 3)[:, None]
-        _, size, motions = np.linalg.svd(scaled)
+        _, size, motions = np.linalg.svd(self.scaled(jacobian))
         if len(size) < 6 or size[-1] <= SINGULAR * size[0]:
             springs = jacobian.shape[1]
             if springs < 6:
@@ -311,7 +309,7 @@ class ElasticRobot(eqx.Module):
             shown = ", ".join(f"{angle:.4g}" for angle in np.rad2deg(np.asarray(q)))
             raise ValueError(
                 f"{name}: the pose ({shown}) deg is singular: {names} can move without the tool, which cannot move in one "
-                f"of its six directions. Change {self._way_out(q, length)} by a degree"
+                f"of its six directions. Change {self._way_out(q)} by a degree"
             )
         if self.robot.mass is None or self.robot.inertia is None:
             return
@@ -325,12 +323,21 @@ class ElasticRobot(eqx.Module):
                 "one. Look at mass and inertia of the links from there on"
             )
 
-    def _way_out(self, q, length: float) -> str:
+    @property
+    def reach(self) -> float:
+        """In which translations of the tool are counted, beside rotations [m]: its length, 1 for one without any."""
+        return self.robot.length or 1.0
+
+    def scaled(self, jacobian: Float[np.ndarray, "... 6 N"]) -> Float[np.ndarray, "... 6 N"]:
+        """Jacobians at the tool, translations in reaches."""
+        return jacobian * np.repeat([1 / self.reach, 1.0], 3)[:, None]
+
+    def _way_out(self, q) -> str:
         """The joint that leads out of a singular pose the fastest. At an outstretched wrist it is none of those that can
         move without the tool."""
         nearby = np.asarray(q) + np.deg2rad(1) * np.eye(self.robot.joints)
         jacobians = np.array([self._jacobian(one) for one in nearby])
-        sizes = np.linalg.svd(jacobians * np.repeat([1 / length, 1.0], 3)[:, None], compute_uv=False)
+        sizes = np.linalg.svd(self.scaled(jacobians), compute_uv=False)
         return self.robot.names[int(np.argmax(sizes[:, 5] / sizes[:, 0]))]
 
     @eqx.filter_jit

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from .._structure import free_rates
 from .._types import AXES
 from ._arm import Arm
 from ._elastic import ElasticRobot
@@ -167,8 +168,7 @@ def damping_ratios(mass, damping, stiffness, shapes) -> Float[np.ndarray, " n"]:
     from scipy.optimize import linear_sum_assignment
 
     n = len(mass)
-    rates = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, np.hstack([stiffness, damping]))]])
-    values, vectors = np.linalg.eig(rates)
+    values, vectors = np.linalg.eig(free_rates(mass, damping, stiffness))
     # One of each pair of conjugates, and both motions of a mode that does not vibrate.
     one = np.imag(values) >= 0
     values, motions = values[one], vectors[:n, one]

@@ -81,7 +81,7 @@ class ParallelRobot(eqx.Module):
                     f"q: leg {i + 1} ends {away:.2g} (m, or parts of 1 of a direction) from where leg 1 does; give "
                     "coordinates at which all legs meet"
                 )
-            jacobian = np.repeat([1 / _length(leg), 1.0], 3)[:, None] * leg.chain.jacobian(leg.extended(own))
+            jacobian = leg.scaled(np.asarray(leg.chain.jacobian(leg.extended(own))))
             size = np.linalg.svd(jacobian, compute_uv=False)
             if len(size) < 6 or size[-1] <= SINGULAR * size[0]:
                 raise ValueError(
@@ -94,7 +94,7 @@ class ParallelRobot(eqx.Module):
                     f"q: the passive joints of leg {i + 1} can move while the tool rests; give one of them a spring, or "
                     "leave it out"
                 )
-        lengths = np.repeat([max(map(_length, self.legs)), 1.0], 3)
+        lengths = np.repeat([max(leg.reach for leg in self.legs), 1.0], 3)
         values = np.linalg.eigvalsh(lengths[:, None] * np.asarray(self.stiffness(q)) * lengths)
         if values[0] <= LOOSE * values[-1]:
             raise ValueError("q: the platform can move without any spring giving way: too few springs, or a singular pose")
@@ -102,8 +102,3 @@ class ParallelRobot(eqx.Module):
     def _same_number(self, q) -> None:
         if len(q) != len(self.legs):
             raise ValueError(f"q: given for {len(q)} legs; the robot has {len(self.legs)}")
-
-
-def _length(leg: ElasticRobot) -> float:
-    """How long a leg is, without what its slides add [m]; 1 for one without any length."""
-    return float(np.linalg.norm(leg.robot.ends, axis=1).sum()) or 1.0

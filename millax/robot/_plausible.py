@@ -11,7 +11,7 @@ HEAVIEST = 1000.0
 def implausible(robot: Robot) -> list[str]:
     """What is wrong with masses, centres of mass and inertia, one sentence each. Needs concrete numbers."""
     found = []
-    lengths = np.linalg.norm(np.asarray(robot.xyz), axis=1)[1:].sum() + np.linalg.norm(np.asarray(robot.flange.xyz))
+    lengths = robot.length
     if robot.mass is not None:
         mass = np.asarray(robot.mass)
         total = mass.sum()
