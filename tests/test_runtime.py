@@ -7,7 +7,13 @@ from pathlib import Path
 
 import pytest
 
-SET_HERE = ("XLA_FLAGS", "TF_CPP_MIN_LOG_LEVEL", "JAX_ENABLE_COMPILATION_CACHE")
+SET_HERE = (
+    "XLA_FLAGS",
+    "TF_CPP_MIN_LOG_LEVEL",
+    "JAX_ENABLE_COMPILATION_CACHE",
+    "JAX_COMPILATION_CACHE_DIR",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
+)
 
 CASE = Path(__file__).parent.parent / "docs" / "cases" / "kr240_2dof.toml"
 
