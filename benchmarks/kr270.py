@@ -77,14 +77,15 @@ def points() -> Robot:
     return dataclasses.replace(robot, centre_of_mass=robot.ends, inertia=np.zeros((robot.joints, 3, 3)))
 
 
-def slot(duration: float, **settings) -> mx.Case:
+def slot(duration: float, holds: Arm | None = None, **settings) -> mx.Case:
     """C's slot in aluminium: 8000 rpm, 4 m/min, 4 teeth, entering a straight border at t = 0; 1 mm deep, as k_0 a = 5e6 N/m
-    makes it with the law of E."""
+    makes it with the law of E. Of an arm of its own, or of `holds`."""
+    holds = arm() if holds is None else holds
     tool = mx.EndMill(diameter=0.02, teeth=4)
     law = mx.FractionalLaw(k0=5e9, hs=18e-6, r=0.1, kr=0.3)
     cut = mx.Cut.touching(tool, SPEED, 4 / 60, 1e-3)
-    numerics = mx.Settings.suited(tool, law, arm().structure(), cut, duration, **settings)
-    return mx.Case(tool, law, cut, mx.Stock.box(), arm(), numerics)
+    numerics = mx.Settings.suited(tool, law, holds, cut, duration, **settings)
+    return mx.Case(tool, law, cut, mx.Stock.box(), holds, numerics)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""The slot of C (Table 1) with a KUKA KR270 in four poses: four cuts, their forces and displacements measured."""
+"""The slot of C (Table 1) with a KUKA KR270 in four poses: four cuts, their forces and displacements measured; and load
+tests of it in eight."""
 
 from functools import cache
 
@@ -6,7 +7,9 @@ import numpy as np
 
 import millax as mx
 from identification import Parameter, Trace
-from millax.robot import Arm, Spindle, models
+from millax.robot import Arm, Loads, Robot, Spindle, models
+
+from .kr270 import COMPLIANCE, slot
 
 POSES = (
     (90, -50, 120, 180, 25, 180),
@@ -16,8 +19,19 @@ POSES = (
 )
 """Joint coordinates [deg]; the first are those of C."""
 
-COMPLIANCE = np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13]) * 1e-6
-"""Of the joints [rad/(N m)], C Table 1."""
+MORE_POSES = (
+    (70, -60, 100, 30, 40, 60),
+    (100, -90, 140, 0, -60, 30),
+    (50, -45, 95, 90, 30, 10),
+    (110, -75, 115, -60, 70, -120),
+)
+"""Of load tests, beside those of the cuts [deg]."""
+
+PULL = 500.0
+"""Of a load test [N], along x, y and -z of the base in each pose."""
+
+TRACKER = 10e-6
+"""Its noise [m]."""
 
 DAMPING = (0.05, 0.04, 0.03, 0.05, 0.05, 0.05)
 """Of the modes [-]; the first three are looked for."""
@@ -45,15 +59,19 @@ SPINDLE = Spindle(
 @cache
 def cases(poses: int = 4) -> tuple[mx.Case, ...]:
     """0.3 s of the slot in each of the first poses."""
-    tool = mx.EndMill(0.02, 4)
-    law = mx.FractionalLaw(k0=5e9, hs=18e-6, r=0.1, kr=0.3)
-    cut = mx.Cut.touching(tool, 8000 * 2 * np.pi / 60, 4 / 60, 1e-3)
-    found = []
-    for pose in POSES[:poses]:
-        arm = Arm(models.kuka_kr270(), np.deg2rad(pose), COMPLIANCE, damping_ratio=DAMPING, tool=SPINDLE)
-        settings = mx.Settings.suited(tool, law, arm.structure(), cut, 0.3)
-        found.append(mx.Case(tool, law, cut, mx.Stock.box(), arm, settings))
-    return tuple(found)
+    return tuple(slot(0.3, arm(np.deg2rad(pose))) for pose in POSES[:poses])
+
+
+def arm(joints, loads: Loads | None = None, robot: Robot | None = None) -> Arm:
+    """The robot with its spindle, as it is in truth."""
+    robot = models.kuka_kr270() if robot is None else robot
+    return Arm(robot, joints, COMPLIANCE, damping_ratio=DAMPING, tool=SPINDLE, loads=loads)
+
+
+def pulls() -> tuple[np.ndarray, np.ndarray]:
+    """Joints [rad] and force [N] of each measurement of the load tests."""
+    poses = np.deg2rad([*POSES, *MORE_POSES])
+    return np.repeat(poses, 3, axis=0), PULL * np.tile(np.diag([1.0, 1.0, -1.0]), (len(poses), 1))
 
 
 def traces(seed: int, poses: int = 4) -> list[Trace]:

@@ -33,7 +33,8 @@ def run_stability(
     """Draw the stability lobe diagram of a case file; write stability.nc and stability.png into `out`.
 
     `speeds` and `depths` are texts like "5000:25000:101 rpm", `methods` names between commas. Returns the exit code: 0; 1
-    where no limit was found at any speed; 2 for input that cannot be used. Raises `OSError` where nothing can be written.
+    where no limit was found at any speed. Raises `CaseError` for input that cannot be used, `OSError` where nothing can be
+    written.
     """
     file = CaseFile.read(case_path)
     begin = time.perf_counter()
@@ -49,8 +50,7 @@ def run_stability(
         except CaseError:
             raise
         except ValueError as error:
-            complain(f"{case_path}: {error}")
-            return 2
+            raise CaseError(f"{case_path}: {error}") from None
         result.attrs["case"] = os.fspath(case_path)
         result.to_netcdf(folder / "stability.nc", engine="h5netcdf")
         from millax.plots import plot_stability

@@ -10,7 +10,7 @@ from ._settings import Settings
 from ._stock import Stock
 from ._structure import Structure
 from ._tool import EndMill
-from .robot import Arm
+from .robot import Arm, at_tool
 
 
 class Case(eqx.Module):
@@ -36,7 +36,7 @@ class Case(eqx.Module):
     @property
     def at_tool(self) -> Structure:
         """The mass-spring-damper that the tool feels: the structure, or what follows from the robot."""
-        return self.structure.structure() if isinstance(self.structure, Arm) else self.structure
+        return at_tool(self.structure)
 
     def with_settings(self, **changes) -> "Case":
         """The same case with other settings, by their names."""

@@ -21,7 +21,6 @@ from ._stock import Stock, passage
 from ._structure import Structure
 from ._tool import EndMill
 from ._units import EXPONENT, in_mm
-from .robot import Arm
 
 
 class CaseError(ValueError):
@@ -173,8 +172,7 @@ def _build(values: Mapping[str, dict[str, Any]], folder: Path) -> Case:
         if values["structure"]:
             raise ValueError("[structure] and [robot] given; each says what holds the tool. Give one of them")
         structure = arm_of(folder, *(values[name] for name in ("robot", "robot.tool", "robot.links", "robot.loads")))
-    at_tool = structure.structure() if isinstance(structure, Arm) else structure
-    settings = Settings.suited(tool, law, at_tool, cut, **values["simulation"])
+    settings = Settings.suited(tool, law, structure, cut, **values["simulation"])
     case = Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
     _require_met(case)
     return case

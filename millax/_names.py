@@ -13,7 +13,6 @@ from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range
 from ._caseleaves import labels
 from ._forces import ExponentialLaw
 from ._units import parse, show
-from .robot._chain import ROUNDING
 
 Number = float | str
 """A number in SI units, or a text with a unit: 0.018, "18 um"."""
@@ -71,19 +70,10 @@ def _quantity(case: Case, name: str) -> Quantity:
         # A matrix may hold negative entries; the numbers that have names are diagonal, and those hold the tool.
         return dataclasses.replace(quantity, range=POSITIVE)
     if (section, key) == ("robot", "joints"):
-        return dataclasses.replace(quantity, range=_limits(case, index[0]))
+        assert case.robot is not None
+        lower, upper = case.robot.robot.limits
+        return dataclasses.replace(quantity, range=Range(float(lower[index[0]]), float(upper[index[0]])))
     return quantity
-
-
-def _limits(case: Case, joint: int) -> Range:
-    """Between which angles the drive of a joint goes, where that is known."""
-    arm = case.robot
-    assert arm is not None
-    lower, upper = arm.robot.lower, arm.robot.upper
-    if lower is None or upper is None:
-        return Range()
-    low, high = float(lower[joint]), float(upper[joint])
-    return Range(low - ROUNDING * abs(low), high + ROUNDING * abs(high))
 
 
 def _table(case: Case) -> dict[str, float]:

@@ -16,6 +16,7 @@ from ._runtime import loops_are_compiled
 from ._structure import Structure, free_rates
 from ._tool import EndMill
 from ._types import Scalar, as_number
+from .robot import Arm, at_tool
 
 MOST_STEPS = 10**8
 """Longest trace: some 10 GB."""
@@ -84,7 +85,7 @@ class Settings(eqx.Module):
     def suited(
         tool: EndMill,
         force: ForceLaw,
-        structure: Structure,
+        structure: Structure | Arm,
         cut: Cut,
         duration,
         steps_per_tooth: int | None = None,
@@ -122,6 +123,7 @@ class Settings(eqx.Module):
             tolerance=tolerance,
         )
         _warn_of_runout(tool, cut)
+        structure = at_tool(structure)
         matrices = structure.mass_matrix, structure.damping_matrix, structure.stiffness_matrix
         require_resolved(float(fastest_rate(*matrices)), period, steps_per_tooth)
         if blocks is None or sweeps is None:

@@ -8,12 +8,10 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
-from benchmarks import frame
+from benchmarks.kr270 import COMPLIANCE, JOINTS
 from millax.robot import Beam, ElasticRobot, Loads, Payload, Placement, Robot
 
-COMPLIANCE = 1e-6 * np.array([0.26, 0.15, 0.26, 1.79, 1.52, 2.13])  # C, Table 1
-POSES = {"of the papers": np.deg2rad([90, -50, 120, 180, 25, 180]), "another": np.deg2rad([20, -80, 100, 40, -60, 30])}
-Q = POSES["of the papers"]
+POSES = {"of the papers": JOINTS, "another": np.deg2rad([20, -80, 100, 40, -60, 30])}
 SECTION = Beam(5e-3, 2e-5, 5e-5, 3e-5, young=210e9, shear=81e9, side=(0.2, 1.0, 0.3))
 """A box of unequal second moments, across no axis of any link."""
 ARMS = {"rigid links": {}, "beams": {"joint_2": SECTION, "joint_4": Beam.tube(0.2, 0.17)}}
@@ -37,15 +35,11 @@ def arm(make, beams) -> ElasticRobot:
     )
 
 
-def any_arm(seed: int, kinds, beams, masses=True) -> ElasticRobot:
+def any_arm(seed: int, kinds, beams) -> ElasticRobot:
     """Any placements, axes and masses."""
     rng, n = np.random.default_rng(seed), len(kinds)
     root = rng.normal(size=(n, 3, 3))
-    weighs = {
-        "mass": rng.uniform(10, 100, n),
-        "centre_of_mass": rng.normal(size=(n, 3)) * 0.3,
-        "inertia": root @ root.swapaxes(1, 2),
-    }
+    mass, centre_of_mass = rng.uniform(10, 100, n), rng.normal(size=(n, 3)) * 0.3
     robot = Robot(
         names=tuple(f"joint_{i + 1}" for i in range(n)),
         kinds=kinds,
@@ -56,7 +50,9 @@ def any_arm(seed: int, kinds, beams, masses=True) -> ElasticRobot:
         base=Placement(rng.normal(size=3), rng.uniform(-np.pi, np.pi, 3)),
         flange=Placement(rng.normal(size=3) * 0.5, rng.uniform(-np.pi, np.pi, 3)),
         tool=Placement(rng.normal(size=3) * 0.3, rng.uniform(-np.pi, np.pi, 3)),
-        **(weighs if masses else {}),
+        mass=mass,
+        centre_of_mass=centre_of_mass,
+        inertia=root @ root.swapaxes(1, 2),
     )
     return ElasticRobot(robot, rng.uniform(0.1, 2.0, n) * 1e-6, beams)
 
@@ -235,29 +231,3 @@ def sides(beam, line) -> np.ndarray:
     side = np.eye(3)[np.argmin(abs(x))] if beam.side is None else np.asarray(beam.side)
     z = np.cross(x, side) / np.linalg.norm(np.cross(x, side))
     return np.array([x, np.cross(z, x), z]).T
-
-
-def frame_of(robot: ElasticRobot, q, elements: int = 2) -> frame.Arm:
-    """The arm of the finite-element model that stands like this one, with nothing loaded. Joints must turn."""
-    stands = standing(ElasticRobot(robot.robot, robot.compliance), q)
-    chain, names = jax.tree.map(np.asarray, robot.robot), robot.robot.names
-    flange = stands.tip - stands.rotation @ rotation(chain.tool.rpy).T @ chain.tool.xyz
-    weights = stands.bodies or [Body(0.0, p, np.zeros((3, 3)), 0, {}, {}) for p in stands.origins]
-    links, points = [], np.vstack([stands.origins, flange])
-    for i, name in enumerate(names):
-        body = weights[i]
-        if (beam := robot.beams.get(name)) is None:
-            links.append(frame.Rigid(body.mass, body.point, body.inertia))
-            continue
-        line = chain.xyz[i + 1] if i + 1 < chain.joints else chain.flange.xyz
-        link = standing(ElasticRobot(_cut(robot.robot, i + 1), robot.compliance[: i + 1]), q[: i + 1]).rotation
-        side = link @ sides(beam, line)[:, 1]
-        numbers = (beam.young, beam.shear, beam.area, beam.second_moment_y, beam.second_moment_z, beam.torsion)
-        links.append(frame.Beam(*map(float, numbers), side, body.mass))
-    carried = [(len(names), frame.Rigid(b.mass, b.point, b.inertia)) for b in weights[len(names) :]]
-    return frame.Arm(points, stands.axes, np.asarray(robot.compliance), links, carried, stands.tip, elements)
-
-
-def _cut(robot: Robot, n: int) -> Robot:
-    """The first n joints, the tool frame that of the link of the last."""
-    return Robot(robot.names[:n], robot.kinds[:n], robot.xyz[:n], robot.rpy[:n], robot.axis[:n], robot.zero[:n], robot.base)

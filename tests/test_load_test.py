@@ -12,26 +12,16 @@ from cases import RPM, SLOT_FILE, slot
 from scipy.spatial.transform import Rotation
 
 import millax as mx
-from benchmarks.robot_slot import COMPLIANCE, DAMPING, NOISE, POSES, SPINDLE
+from benchmarks import robot_slot
+from benchmarks.kr270 import COMPLIANCE
+from benchmarks.robot_slot import NOISE, POSES, TRACKER, pulls
 from identification import LoadTest, Parameter, Trace, TraceError, _evaluate, check, fit, load_fit, read_load_test
 from identification._deflection import deflection, rotation_vector
 from identification.cli import main
-from millax.robot import Arm, Loads, models
+from millax.robot import Loads, models
 
-EIGHT = np.deg2rad(
-    [
-        *POSES,
-        (70, -60, 100, 30, 40, 60),
-        (100, -90, 140, 0, -60, 30),
-        (50, -45, 95, 90, 30, 10),
-        (110, -75, 115, -60, 70, -120),
-    ]
-)
-"""Poses, the first four those of the slot."""
-
-SIGMA = 1e-5
-"""Noise of a displacement [m]: 10 um."""
-
+JOINTS, FORCE = pulls()
+EIGHT = JOINTS[::3]
 NAMES = [f"robot.compliance.joint_{i}" for i in range(1, 7)]
 GUESSES = [
     Parameter(name, value * wrong)
@@ -42,19 +32,12 @@ XYZ = ("x", "y", "z")
 ALL = (*XYZ, "rx", "ry", "rz")
 
 
-def robot_case(loads=GRAVITY, robot=None, joints=EIGHT[0], **others):
+def robot_case(loads=GRAVITY, robot=None, joints=EIGHT[0]):
     """0.02 s of the slot, held by a robot."""
-    made = models.kuka_kr270() if robot is None else robot
-    arm = Arm(made, joints, COMPLIANCE, damping_ratio=DAMPING, tool=SPINDLE, loads=loads, **others)
-    return slot(structure=arm, speed=8000 * RPM)
+    return slot(structure=robot_slot.arm(joints, loads, robot), speed=8000 * RPM)
 
 
 CASE = robot_case()
-
-
-def pushes(poses=EIGHT, force=500.0):
-    """Along x, y and -z in every pose: joints and forces of each measurement."""
-    return np.repeat(poses, 3, axis=0), force * np.tile(np.diag([1.0, 1.0, -1.0]), (len(poses), 1))
 
 
 @eqx.filter_jit
@@ -70,12 +53,12 @@ def model(case, joints, force, moment=None, channels=XYZ):
 
 @pytest.fixture(scope="module")
 def clean():
-    return model(CASE, *pushes())
+    return model(CASE, JOINTS, FORCE)
 
 
-def measured(clean, seed, noise=SIGMA, known=True):
+def measured(clean, seed, noise=TRACKER, known=True):
     values = clean + np.random.default_rng(seed).normal(scale=noise, size=clean.shape)
-    return LoadTest(*pushes(), XYZ, values, noise=dict.fromkeys(XYZ, noise) if known else {}, units={"x": "um"})
+    return LoadTest(JOINTS, FORCE, XYZ, values, noise=dict.fromkeys(XYZ, noise) if known else {}, units={"x": "um"})
 
 
 # ---- the model
@@ -92,11 +75,11 @@ def test_small_loads_give_the_compliance_at_the_tool_times_the_wrench():
 
 def test_forces_for_the_cut_are_no_part_of_the_unloaded_state(clean):
     case = robot_case(Loads((100.0, 200.0, 300.0), (1.0, 2.0, 3.0), GRAVITY.gravity))
-    np.testing.assert_allclose(model(case, *pushes()), clean, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(model(case, JOINTS, FORCE), clean, rtol=1e-9, atol=1e-15)
 
 
 def test_without_joints_the_pose_is_that_of_the_case(clean):
-    np.testing.assert_allclose(model(CASE, None, pushes()[1][:3]), clean[:3], rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(model(CASE, None, FORCE[:3]), clean[:3], rtol=1e-9, atol=1e-15)
 
 
 def test_the_rotation_vector_is_exact_for_small_angles_and_has_a_derivative_at_none():
@@ -110,7 +93,7 @@ def test_the_rotation_vector_is_exact_for_small_angles_and_has_a_derivative_at_n
 
 
 def test_derivatives_are_finite_and_those_of_differences():
-    joints, force = pushes(EIGHT[:1])
+    joints, force = JOINTS[:3], FORCE[:3]
     comparison = deflection(LoadTest(joints, force, ALL, np.ones((3, 6))), CASE)
 
     def of(values):
@@ -147,7 +130,7 @@ def test_six_compliances_are_found_without_simulating_a_cut(monkeypatch, clean):
         assert result.success, result.message
         apart.append([(e.value - true) / e.std for e, true in zip(result.parameters, COMPLIANCE, strict=True)])
         assert result.traces[0].fitted.shape == (24, 3)
-        assert max(result.traces[0].rmse.values()) < 1.6 * SIGMA
+        assert max(result.traces[0].rmse.values()) < 1.6 * TRACKER
     assert np.abs(apart).max() < 3
     assert 0.5 < np.std(apart) < 1.6
     known = check(result.case, measured(clean, 0), NAMES)
@@ -160,14 +143,13 @@ def test_noise_that_is_not_known_is_estimated_with_the_degrees_of_freedom_that_a
     (test,) = result.traces
     assert sum(24 * (test.rmse[c] / test.sigma[c]) ** 2 for c in XYZ) == pytest.approx(3 * 24 - 6, rel=3e-3)
     for c in XYZ:
-        assert test.sigma[c] == pytest.approx(SIGMA, rel=0.5)
+        assert test.sigma[c] == pytest.approx(TRACKER, rel=0.5)
         assert test.rmse[c] < test.sigma[c]
 
 
 def test_one_pose_and_one_force_do_not_tell_six_compliances(clean):
-    joints, force = pushes()
-    again = np.zeros(len(force), dtype=int)
-    result = fit(CASE, dataclasses.replace(measured(clean, 0), joints=joints[again], force=force[again]), GUESSES)
+    again = np.zeros(len(FORCE), dtype=int)
+    result = fit(CASE, dataclasses.replace(measured(clean, 0), joints=JOINTS[again], force=FORCE[again]), GUESSES)
     assert result.status == "not_identifiable"
     assert not result.begun
     assert "cannot be told apart" in result.message
@@ -360,10 +342,9 @@ noise = {{ x = "10 um", y = "10 um" }}
 @pytest.fixture
 def problem(tmp_path, clean):
     """Write a case file, with replacements, and its load test."""
-    joints, force = pushes()
     values = 1e6 * measured(clean, 0).values
     header = ",".join([*(f"q{i} [deg]" for i in range(1, 7)), "Fx [N]", "Fy [N]", "Fz [N]", *(f"{c} [um]" for c in XYZ)])
-    rows = np.hstack([np.rad2deg(joints), force, values])
+    rows = np.hstack([np.rad2deg(JOINTS), FORCE, values])
     (tmp_path / "deflections.csv").write_text(text(rows, header), encoding="utf-8")
 
     def problem(*changes):

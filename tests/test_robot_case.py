@@ -9,10 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arms import COMPLIANCE, Q, standing, worst
+from arms import standing, worst
 from cases import SLOT_FILE
 
 import millax as mx
+from benchmarks.kr270 import COMPLIANCE
+from benchmarks.kr270 import JOINTS as Q
 from identification import Parameter
 from identification._parameters import free
 from millax._names import quantity_of, read_value, replace, valid_names, value_of

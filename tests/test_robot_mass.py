@@ -10,20 +10,19 @@ import numpy as np
 import pytest
 from arms import (
     ARMS,
-    COMPLIANCE,
     LOADS,
     POSES,
     SECTION,
-    Q,
     any_arm,
     arm,
-    frame_of,
     joint_frequencies,
     standing,
     worst,
 )
 
-from benchmarks import frame
+from benchmarks import frame, unreduced
+from benchmarks.kr270 import COMPLIANCE
+from benchmarks.kr270 import JOINTS as Q
 from millax.robot import Beam, ElasticRobot, Loads, Payload, Placement, Robot, modal_damping, models, modes
 
 TURNING = ("revolute",) * 6
@@ -129,7 +128,7 @@ def test_the_tool_feels_the_frequencies_of_the_joints(make):
         assert worst(robot.mass(q), inverse.T @ mass @ inverse) < 1e-12  # C 25, as it ought to be printed
         found = robot.modes(q)
         np.testing.assert_allclose(found.frequency, joint_frequencies(np.diag(1 / COMPLIANCE), mass), rtol=1e-12)
-        np.testing.assert_allclose(found.frequency, frame.frequencies(frame_of(robot, q), 6), rtol=1e-12)
+        np.testing.assert_allclose(found.frequency, frame.frequencies(unreduced.full(robot, q), 6), rtol=1e-12)
 
 
 def test_under_loads_the_mass_is_that_of_where_the_robot_stands():
@@ -145,11 +144,9 @@ def test_under_loads_the_mass_is_that_of_where_the_robot_stands():
 # Beams
 
 
-def test_the_reduced_mass_of_one_beam_in_closed_form():
-    """Integrals of x/L, x²(3L - x)/(2L³) and 2x(L - x/2)/L², alone, in products, and with what the joint before does."""
-    mass, length, rate = 60.0, 1.5, 2.0
-    line = length * np.array([2.0, -1.0, 2.0]) / 3
-    robot = Robot(
+def one_link(line, mass: float) -> Robot:
+    """On a joint about z, from there to its flange, a uniform line."""
+    return Robot(
         ("a",),
         ("revolute",),
         [(0, 0, 0)],
@@ -158,9 +155,16 @@ def test_the_reduced_mass_of_one_beam_in_closed_form():
         [0.0],
         flange=Placement(line),
         mass=[mass],
-        centre_of_mass=[line / 2],
+        centre_of_mass=[np.asarray(line) / 2],
         inertia=np.zeros((1, 3, 3)),
     )
+
+
+def test_the_reduced_mass_of_one_beam_in_closed_form():
+    """Integrals of x/L, x²(3L - x)/(2L³) and 2x(L - x/2)/L², alone, in products, and with what the joint before does."""
+    mass, length, rate = 60.0, 1.5, 2.0
+    line = length * np.array([2.0, -1.0, 2.0]) / 3
+    robot = one_link(line, mass)
     beam = dataclasses.replace(SECTION, side=(0.3, 1.0, -0.2))
     elastic = ElasticRobot(robot, [1e-6], {"a": beam})
     found = np.asarray(elastic.bodies(elastic.extended([0.0])).mass_matrix)
@@ -206,27 +210,16 @@ def test_beams_vibrate_nearly_as_finite_elements():
     """A beam alone: sqrt(140/33 * 3) = 3.57 in place of 3.516, 1.5 % too much. In an arm whose links bend less than its
     joints turn its lowest frequencies are as good; condensed to six motions, the fourth and later are not."""
     beam = dataclasses.replace(SECTION, side=(0.0, 1.0, 0.0))
-    robot = Robot(
-        ("a",),
-        ("revolute",),
-        [(0, 0, 0)],
-        [(0, 0, 0)],
-        [(0, 0, 1)],
-        [0.0],
-        flange=Placement((1.5, 0.0, 0.0)),
-        mass=[60.0],
-        centre_of_mass=[(0.75, 0.0, 0.0)],
-        inertia=np.zeros((1, 3, 3)),
-    )
-    alone = ElasticRobot(robot, [1e-15], {"a": beam}).modes([0.0]).frequency[:2]
+    elastic = ElasticRobot(one_link((1.5, 0.0, 0.0), 60.0), [1e-15], {"a": beam})
+    alone = elastic.modes([0.0]).frequency[:2]
     moments = np.array([2e-5, 5e-5])
     turning = 8 / 15 * moments / 5e-3 * (3 / (2 * 1.5)) ** 2  # of the sections: a force at the end turns it by 3/(2L)
     expected = np.sqrt(3 * 210e9 * moments / 1.5**3 / (60.0 * (33 / 140 + turning))) / (2 * np.pi)
     np.testing.assert_allclose(alone, expected, rtol=1e-4)
-    finite = frame.frequencies(frame_of(ElasticRobot(robot, [1e-15], {"a": beam}), [0.0], 8), 2)
+    finite = frame.frequencies(unreduced.full(elastic, [0.0]), 2)
     np.testing.assert_allclose(alone / finite - 1, 0.015, atol=0.005)
     arm_of_it = arm(models.kuka_kr270, ARMS["beams"])
-    exact = frame.frequencies(frame_of(arm_of_it, Q, 8), 3)
+    exact = frame.frequencies(unreduced.full(arm_of_it, Q), 3)
     np.testing.assert_allclose(arm_of_it.modes(Q).frequency[:3], exact, rtol=0.025)
 
 

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arms import ARMS, Q, arm, cross, joint_frequencies, rotation, worst
+from arms import ARMS, arm, cross, joint_frequencies, rotation, worst
 from scipy.spatial.transform import Rotation
 
+from benchmarks.kr270 import JOINTS as Q
 from millax.robot import Beam, ElasticRobot, ParallelRobot, Payload, Placement, Robot, models
 
 FREE = np.inf

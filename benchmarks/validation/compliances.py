@@ -8,18 +8,12 @@ import numpy as np
 from identification import Check, FitResult, LoadTest, check, fit
 
 from ..figures import Figure, below
-from ..robot_slot import COMPLIANCE, POSES, TRUTH, cases, parameters, traces
+from ..kr270 import COMPLIANCE
+from ..robot_slot import TRACKER, TRUTH, cases, parameters, pulls, traces
 
 SEEDS = 5
 MORE = 40
 """Seeds from which the spread of the errors is found: with nine parameters each, to a few percent."""
-
-
-PULL = 500.0
-"""Of a load test [N], along x, y and -z of the base in each pose."""
-
-TRACKER = 10e-6
-"""Its noise [m]."""
 
 
 def figures():
@@ -64,10 +58,7 @@ def _worst(what: str, errors: dict[str, float]) -> Figure:
 
 def _load_tests() -> Iterator[Figure]:
     """Deflections in the poses of the cuts and in four more; the truth by the compliance at the tool, C 17 without loads."""
-    more = (70, -60, 100, 30, 40, 60), (100, -90, 140, 0, -60, 30), (50, -45, 95, 90, 30, 10), (110, -75, 115, -60, 70, -120)
-    poses = np.deg2rad([*POSES, *more])
-    force = PULL * np.tile(np.diag([1.0, 1.0, -1.0]), (len(poses), 1))
-    joints = np.repeat(poses, 3, axis=0)
+    joints, force = pulls()
     case = cases(1)[0]
     assert case.robot is not None
     # Small enough a pull is linear; the springs' own stiffening under 500 N, 1e-4 of the motion, is in the model only.
@@ -81,7 +72,7 @@ def _load_tests() -> Iterator[Figure]:
         if not result.success:
             yield Figure(f"load tests, seed {seed}", result.status, "converged", False)
             continue
-        yield _worst(f"load tests in {len(poses)} poses, seed {seed}", _in_errors(result))
+        yield _worst(f"load tests in {len(joints) // 3} poses, seed {seed}", _in_errors(result))
     one = check(
         case, LoadTest(joints[:1], force[:1], ("x", "y", "z"), exact[:1], noise=dict.fromkeys("xyz", TRACKER)), asked
     )

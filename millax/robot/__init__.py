@@ -2,7 +2,7 @@
 knows nothing of cutting."""
 
 from . import models
-from ._arm import Arm, Spindle
+from ._arm import Arm, Spindle, at_tool
 from ._beam import Beam
 from ._chain import Bodies, Frames, Payload, Placement, Robot
 from ._elastic import AtTool, ElasticRobot, Loads
@@ -27,6 +27,7 @@ __all__ = [
     "Placement",
     "Robot",
     "Spindle",
+    "at_tool",
     "from_pytorch_kinematics",
     "load_urdf",
     "modal_damping",

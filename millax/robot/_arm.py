@@ -9,12 +9,9 @@ from .._check import concrete, finite, not_negative
 from .._structure import Structure
 from .._types import AXES, Scalar, as_number, optional
 from ._beam import Beam
-from ._chain import Payload, Placement, Robot, symmetric
+from ._chain import Payload, Placement, Robot, check_load
 from ._elastic import ElasticRobot, Loads
 from ._modes import modal_damping
-
-UNITS = {"xyz": "m", "rpy": "rad", "mass": "kg", "centre_of_mass": "m", "inertia": "kg m²"}
-"""Of what is known of a spindle."""
 
 NO_EQUILIBRIUM = "robot.loads: no equilibrium found; they are beyond what springs of robot.compliance hold"
 
@@ -41,12 +38,12 @@ class Spindle(eqx.Module):
     inertia: Float[Array, "3 3"] = eqx.field(converter=as_number, default_factory=lambda: np.zeros((3, 3)))
 
     def __check_init__(self):
-        for name, shape in (("xyz", (3,)), ("rpy", (3,)), ("mass", ()), ("centre_of_mass", (3,)), ("inertia", (3, 3))):
+        for name, unit in (("xyz", "m"), ("rpy", "rad")):
             value = getattr(self, name)
-            if value.shape != shape:
-                raise ValueError(f"robot.tool.{name}: shape {value.shape} given; it must be {shape}")
-            (not_negative if name == "mass" else finite)(f"robot.tool.{name}", value, UNITS[name])
-        symmetric("robot.tool.inertia", self.inertia)
+            if value.shape != (3,):
+                raise ValueError(f"robot.tool.{name}: shape {value.shape} given; it must be (3,)")
+            finite(f"robot.tool.{name}", value, unit)
+        check_load("robot.tool", self)
 
     def on(self, robot: Robot) -> Robot:
         """`robot` with this on its flange, in place of its own tool and payload."""
@@ -128,7 +125,7 @@ class Arm(eqx.Module):
         """Mass, damping and stiffness at the tool centre point in the workpiece frame: six coordinates, translations before
         rotations, of which the tool moves by the first three."""
         elastic, frame = self.elastic, jnp.kron(jnp.eye(2), self.workpiece)
-        at = elastic.at_tool(self.joints, self._loads_in_base())
+        at = elastic.at_tool(self.joints, self.loads_in_base)
         mass, stiffness = (frame.T @ matrix @ frame for matrix in (at.mass(elastic), at.stiffness))
         if self.damping is None:
             assert self.damping_ratio is not None  # exactly one of the two is given
@@ -151,8 +148,15 @@ class Arm(eqx.Module):
                 "robot.loads: under them the robot does not stand; in some direction its stiffness is not positive"
             )
 
-    def _loads_in_base(self) -> Loads | None:
+    @property
+    def loads_in_base(self) -> Loads | None:
+        """`loads` with all their vectors in the base frame."""
         if self.loads is None:
             return None
         turn = self.workpiece
         return Loads(turn @ self.loads.force, turn @ self.loads.moment, self.loads.gravity)
+
+
+def at_tool(holds: Structure | Arm) -> Structure:
+    """The mass-spring-damper that the tool feels of what holds it."""
+    return holds.structure() if isinstance(holds, Arm) else holds

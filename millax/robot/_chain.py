@@ -116,12 +116,17 @@ class Payload(eqx.Module):
     inertia: Float[Array, "3 3"] = eqx.field(converter=as_number, default_factory=lambda: np.zeros((3, 3)))
 
     def __check_init__(self):
-        for name, shape, unit in (("mass", (), "kg"), ("centre_of_mass", (3,), "m"), ("inertia", (3, 3), "kg m²")):
-            value = getattr(self, name)
-            if value.shape != shape:
-                raise ValueError(f"payload.{name}: shape {value.shape} given; it must be {shape}")
-            (not_negative if name == "mass" else finite)(f"payload.{name}", value, unit)
-        symmetric("payload.inertia", self.inertia)
+        check_load("payload", self)
+
+
+def check_load(name: str, load) -> None:
+    """Raise `ValueError` for a mass, a centre of mass and an inertia that are none of a body; messages call it `name`."""
+    for key, shape, unit in (("mass", (), "kg"), ("centre_of_mass", (3,), "m"), ("inertia", (3, 3), "kg m²")):
+        value = getattr(load, key)
+        if value.shape != shape:
+            raise ValueError(f"{name}.{key}: shape {value.shape} given; it must be {shape}")
+        (not_negative if key == "mass" else finite)(f"{name}.{key}", value, unit)
+    symmetric(f"{name}.inertia", load.inertia)
 
 
 class Robot(eqx.Module):
@@ -306,6 +311,15 @@ class Robot(eqx.Module):
         return float(np.linalg.norm(self.ends, axis=1).sum())
 
     @property
+    def limits(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Between which coordinates [rad], [m] its drives go, rounding allowed for: infinities where no limits are given.
+        Needs concrete numbers."""
+        if self.lower is None or self.upper is None:
+            return np.full(self.joints, -np.inf), np.full(self.joints, np.inf)
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        return lower - ROUNDING * np.abs(lower), upper + ROUNDING * np.abs(upper)
+
+    @property
     def _turning(self) -> np.ndarray:
         return np.array([kind == "revolute" for kind in self.kinds])
 
@@ -425,11 +439,8 @@ class Robot(eqx.Module):
             return
         if given.shape[-1:] != (self.joints,):
             raise ValueError(f"{name}: shape {given.shape} given; the last axis must be the {self.joints} joints")
-        unknown = np.full(self.joints, np.inf)
-        lower = -unknown if self.lower is None else np.asarray(self.lower)
-        upper = unknown if self.upper is None else np.asarray(self.upper)
-        slack = ROUNDING * np.abs([lower, upper])
-        bad = ~(np.isfinite(given) & (given >= lower - slack[0]) & (given <= upper + slack[1]))
+        lower, upper = self.limits
+        bad = ~(np.isfinite(given) & (given >= lower) & (given <= upper))
         if bad.any():
             *when, joint = np.argwhere(bad)[0]
             values = given[*when, joint], lower[joint], upper[joint]

@@ -49,7 +49,7 @@ def robot_at_tool(arm: Arm) -> "xarray.Dataset":
     """
     import xarray
 
-    elastic, loads, q = arm.elastic, arm._loads_in_base(), arm.joints
+    elastic, loads, q = arm.elastic, arm.loads_in_base, arm.joints
     turn = np.asarray(arm.workpiece)
     frame = np.kron(np.eye(2), turn)
     structure = arm.structure()

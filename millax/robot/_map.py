@@ -64,11 +64,8 @@ def stiffness_map(arm: Arm, grid: Mapping[str, Given] | None = None) -> "xarray.
     si = [v.numbers * scale for v, scale in zip(values.values(), scales, strict=True)]
     joints = np.tile(np.asarray(arm.joints), (*map(len, si), 1))
     joints[..., indices] = np.stack(np.meshgrid(*si, indexing="ij"), axis=-1)
-    inside = np.ones(joints.shape[:2], dtype=bool)
-    if robot.lower is not None and robot.upper is not None:
-        low, high = (np.asarray(limit)[indices] for limit in (robot.lower, robot.upper))
-        slack = 1e-9 * (1 + np.abs(joints[..., indices]))
-        inside = np.all((joints[..., indices] >= low - slack) & (joints[..., indices] <= high + slack), axis=-1)
+    low, high = (limit[indices] for limit in robot.limits)
+    inside = np.all((joints[..., indices] >= low) & (joints[..., indices] <= high), axis=-1)
     if not inside.any():
         raise ValueError(f"{' and '.join(values)}: every pose given is beyond the limits of these joints")
     at = _over(arm, jnp.asarray(joints.reshape(-1, robot.joints)))
@@ -119,7 +116,7 @@ def _over(arm: Arm, joints: Float[Array, "poses n"]) -> dict[str, Float[Array, "
 def _at(arm: Arm) -> dict[str, Float[Array, "..."]]:
     """One pose."""
     elastic, turn = arm.elastic, arm.workpiece
-    x, held = elastic._held(arm.joints, arm._loads_in_base())
+    x, held = elastic._held(arm.joints, arm.loads_in_base)
     jacobian = elastic.chain.jacobian(x)
     # That of `ElasticRobot.tool_compliance`, without looking for the same equilibrium twice.
     compliance = turn.T @ (jacobian[:3] @ jnp.linalg.solve(held, jacobian[:3].T)) @ turn
