@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from ._identifiability import Check, Prospect, check
     from ._loadtest import LoadTest, read_load_test
     from ._measured import TraceError
-    from ._parameters import Parameter
+    from ._parameters import Parameter, Prior, Tie
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._traces import Trace, read_trace
 
@@ -21,8 +21,10 @@ __all__ = [
     "FitResult",
     "LoadTest",
     "Parameter",
+    "Prior",
     "Progress",
     "Prospect",
+    "Tie",
     "Trace",
     "TraceError",
     "TraceFit",
@@ -39,7 +41,7 @@ _HOMES = {
     "_identifiability": ("Check", "Prospect", "check"),
     "_loadtest": ("LoadTest", "read_load_test"),
     "_measured": ("TraceError",),
-    "_parameters": ("Parameter",),
+    "_parameters": ("Parameter", "Prior", "Tie"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_traces": ("Trace", "read_trace"),
 }

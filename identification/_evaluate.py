@@ -19,18 +19,21 @@ class Evaluation(eqx.Module):
     """Model and Jacobian at one point, all that least squares needs of them.
 
     The residuals r = model - measured of channel c and their Jacobian J enter a fit only through the triangular factor
-    R_c of [J, r]: J^T J, J^T r and r^T r are those of R_c, whatever weight the channel gets afterwards.
+    R_c of [J, r]: J^T J, J^T r and r^T r are those of R_c, whatever weight the channel gets afterwards. `prior` is [J, r] of
+    what was known before, in standard deviations of it.
     """
 
     triangles: Float[Array, "channels n+1 n+1"]
+    prior: Float[Array, "k n+1"]
     fitted: tuple[Float[Array, "channels samples"], ...]
     status: Array
     covered: Array
 
     def whitened(self, sigma: Float[np.ndarray, " channels"]) -> Float[np.ndarray, "n+1 n+1"]:
-        """The triangular factor of [J, r] over all channels, in units of their noise."""
+        """The triangular factor of [J, r] over all channels, in units of their noise, and of what was known."""
         rows = np.asarray(self.triangles) / sigma[:, None, None]
-        return np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
+        every = np.concatenate([rows.reshape(-1, rows.shape[-1]), np.asarray(self.prior)])
+        return np.asarray(np.linalg.qr(every, mode="r"))
 
 
 @eqx.filter_jit
@@ -47,7 +50,7 @@ def evaluate(
     """
 
     def model(y):
-        changed = [numbers.insert(case, y) for case in cases]
+        changed = [numbers.insert(case, y, place) for place, case in enumerate(cases)]
         cuts = sorted({i for one, i in zip(comparisons, case_of, strict=True) if isinstance(one, Comparison)})
         sims = dict(zip(cuts, together([changed[i] for i in cuts]), strict=True))
         fitted, covered = [], [jnp.array(True)]
@@ -70,7 +73,8 @@ def evaluate(
         triangle(jnp.concatenate([change, (model - comparison.measured)[None]]))
         for comparison, model, change in zip(comparisons, fitted, changes, strict=True)
     ]
-    return Evaluation(jnp.concatenate(triangles), fitted, status, covered)
+    prior = jnp.concatenate([jax.jacfwd(numbers.prior)(y), numbers.prior(y)[:, None]], axis=1)
+    return Evaluation(jnp.concatenate(triangles), prior, fitted, status, covered)
 
 
 def together(cases: Sequence[Case]) -> list[Simulation]:

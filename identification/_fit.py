@@ -16,7 +16,7 @@ from millax._simulate import STATUS as SIMULATION_STATUS
 from ._evaluate import Evaluation, evaluate
 from ._identifiability import checked, not_finite
 from ._loadtest import LoadTest
-from ._parameters import FreeParameters, Parameter
+from ._parameters import FreeParameters, Parameter, Tie
 from ._question import Question, question
 from ._result import STATUS, Estimate, FitResult, TraceFit
 from ._solver import Steps
@@ -65,7 +65,7 @@ class Progress:
 def fit(
     case: Case | Sequence[Case],
     measured: Trace | LoadTest | Sequence[Trace | LoadTest],
-    parameters: Sequence[Parameter | str],
+    parameters: Sequence[Parameter | Tie | str],
     *,
     check: bool = True,
     max_iterations: int = 100,
@@ -74,16 +74,17 @@ def fit(
     """Find the parameters with which the case is nearest to what was measured.
 
     The sum over channels of ((measured - model)/sigma)² is made smallest, which is maximum likelihood for independent
-    normal noise. Where the noise sigma of a channel is not known, it is estimated together with the parameters: fit and
-    sigma = root mean square of the residuals, in turns until nothing changes.
+    normal noise; terms of priors are added, which makes it the most probable point. Where the noise sigma of a channel is
+    not known, it is estimated together with the parameters: fit and sigma = root mean square of the residuals, in turns
+    until nothing changes.
 
     **Arguments:**
 
     - `case`: the cut that was measured, or one per trace and load test: cuts at several speeds, or with the robot in several
-      poses. The free parameters are shared: they have one value in all of them. Numbers that are not free are taken as
-      they are.
+      poses. The free parameters are shared: they have one value in all of them, where a `Parameter` does not say `each`.
+      Numbers that are not free are taken as they are.
     - `measured`: one `Trace` or `LoadTest`, or several in any order. Where there are only load tests, no cut is simulated.
-    - `parameters`: `Parameter`s, or names of parameters to start from the case's own value.
+    - `parameters`: `Parameter`s, or names of parameters to start from the case's own value; `Tie`s to them.
     - `check`: whether a question to which the measurements have no answer at the guess, see `identification.check`, is not
       begun: the status then is "not_identifiable", and the message names the combinations that cannot be known.
     - `max_iterations`: evaluations of model and Jacobian after which the fit gives up.
@@ -230,8 +231,9 @@ class _Fit:
 
     def _taken(self) -> np.ndarray:
         """How many parameters, in parts, each channel tells: their sum over the channels is the number of those known."""
-        rows = self._best().triangles[:, :, :-1] / self.sigma[:, None, None]
-        basis = self._reached(np.asarray(rows).reshape(-1, rows.shape[-1]))
+        rows = np.asarray(self._best().triangles)[:, :, :-1] / self.sigma[:, None, None]
+        every = np.concatenate([rows.reshape(-1, rows.shape[-1]), np.asarray(self._best().prior)[:, :-1]])
+        basis = self._reached(every)[: len(rows) * rows.shape[1]]
         return np.sum(basis.reshape(*rows.shape[:2], -1) ** 2, axis=(1, 2))
 
     def _reached(self, jacobian: np.ndarray) -> np.ndarray:
@@ -273,7 +275,7 @@ class _Fit:
         before = min(case.settings.sweeps for case in self.asked.cases)
         if self.sweeps > before:
             message += f" The sweeps were raised from {before} to {self.sweeps} on the way."
-        fitted = [numbers.insert(case, jnp.asarray(y)) for case in self.cases]
+        fitted = [numbers.insert(case, jnp.asarray(y), place) for place, case in enumerate(self.cases)]
         return FitResult(
             status=status,
             message=message,

@@ -12,7 +12,7 @@ from millax._simulate import STATUS
 
 from ._evaluate import Evaluation, evaluate
 from ._loadtest import LoadTest
-from ._parameters import Parameter
+from ._parameters import Parameter, Tie
 from ._question import Question, question
 from ._traces import Trace
 from ._uncertainty import Uncertainty, uncertainty
@@ -66,13 +66,13 @@ class Check:
 def check(
     case: Case | Sequence[Case],
     measured: Trace | LoadTest | Sequence[Trace | LoadTest],
-    parameters: Sequence[Parameter | str],
+    parameters: Sequence[Parameter | Tie | str],
 ) -> Check:
     """Ask before a fit what it can find: which parameters and combinations the measurements determine, and how well.
 
     At the guess what is measured changes in the model by J with the parameters; the covariance that a fit can reach is
-    (J^T J)^-1, J in units of the noise. What was measured does not matter, only where, when and how well. Where the noise of
-    a channel is not known, 1 % of its root mean square is assumed.
+    (J^T J)^-1, J in units of the noise; what priors say is added as measurements are. What was measured does not matter,
+    only where, when and how well. Where the noise of a channel is not known, 1 % of its root mean square is assumed.
 
     **Arguments:** as of `fit`.
 

@@ -12,7 +12,7 @@ from ._compare import Comparison, compare
 from ._deflection import Deflection, deflection
 from ._loadtest import LoadTest
 from ._measured import TraceError
-from ._parameters import FreeParameters, Parameter, free
+from ._parameters import FreeParameters, Parameter, Tie, free
 from ._traces import Trace
 
 
@@ -47,7 +47,7 @@ class Question:
 def question(
     case: Case | Sequence[Case],
     measured: Trace | LoadTest | Sequence[Trace | LoadTest],
-    parameters: Sequence[Parameter | str],
+    parameters: Sequence[Parameter | Tie | str],
 ) -> Question:
     """Arguments as of `fit`, checked. Raises `ValueError`."""
     if not double_precision():
@@ -60,20 +60,17 @@ def question(
         raise ValueError(
             f"{len(given)} cases given for {len(measured)} traces and load tests; give one case for all, or one for each"
         )
+    asked = [Parameter(p) if isinstance(p, str) else p for p in parameters]
+    # Where traces have numbers of their own, each has a case of its own.
+    apart = any(isinstance(p, Parameter) and p.each for p in asked)
     cases: list[Case] = []
     case_of = []
     for one in given:
-        same = [i for i, other in enumerate(cases) if other is one]
+        same = [] if apart else [i for i, other in enumerate(cases) if other is one]
         case_of.append(same[0] if same else len(cases))
         cases += [] if same else [one]
-    asked = [Parameter(p) if isinstance(p, str) else p for p in parameters]
-    numbers = free(cases[0], asked)
-    for i, other in enumerate(cases[1:], 2):
-        try:
-            free(other, asked)
-        except ValueError as error:
-            raise ValueError(f"case {i} of {len(cases)}: {error}") from error
-    comparisons = [compared(one, its, numbers.names) for one, its in zip(measured, given, strict=True)]
+    numbers = free(cases, asked)
+    comparisons = [compared(one, its, numbers.leaves) for one, its in zip(measured, given, strict=True)]
     for one in measured:
         _enough(one, len(numbers))
     return Question(tuple(measured), _settled(cases), tuple(case_of), numbers, tuple(comparisons))

@@ -1,5 +1,6 @@
 """Free parameters: names, bounds and the way from a solver's coordinates to a case."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from cases import slot
 
 import millax as mx
-from identification import Parameter
+from identification import Parameter, Prior, Tie
 from identification._parameters import free
 from identification._transforms import Above, Below, Between, Scaled, transform_for
 
@@ -104,6 +105,35 @@ def test_the_unit_of_an_exponential_coefficient_follows_its_exponent():
     assert float(numbers.guess[0]) == pytest.approx(1000 * 1e3**1.7)
 
 
+def test_numbers_of_every_trace_ties_and_priors():
+    """The first case has one speed, the second another; the others are shared."""
+    other = eqx.tree_at(lambda c: c.cut.spindle_speed, CASE, jnp.array(900.0))
+    numbers = free(
+        [CASE, other],
+        [
+            Parameter("cut.spindle_speed", each=True, unit="rpm"),
+            Parameter("structure.stiffness.x", "4e5 N/m", prior=Prior("5e5 N/m", "1e5 N/m")),
+            Tie("structure.stiffness.y", "structure.stiffness.x", 1.5),
+            Tie("cut.feed_rate", "cut.spindle_speed", 1e-4),
+            Parameter("force.hs", "20 um", prior=Prior("10 um", factor=2.0)),
+        ],
+    )
+    assert numbers.names == ("cut.spindle_speed.trace_1", "cut.spindle_speed.trace_2", "structure.stiffness.x", "force.hs")
+    y = jnp.array([0.1, -0.2, 0.3, 0.4])
+    values = numbers.values(y)
+    np.testing.assert_allclose(numbers.guess[:2], [CASE.cut.spindle_speed, 900.0])
+    for place, case in enumerate((CASE, other)):
+        found = numbers.insert(case, y, place)
+        np.testing.assert_allclose(found.cut.spindle_speed, values[place], rtol=1e-15)
+        np.testing.assert_allclose(found.cut.feed_rate, 1e-4 * values[place], rtol=1e-15)
+        np.testing.assert_allclose(found.structure.stiffness, values[2] * np.array([1.0, 1.5]), rtol=1e-15)
+        np.testing.assert_allclose(found.force.hs, values[3], rtol=1e-15)
+    np.testing.assert_allclose(
+        numbers.prior(y), [(values[2] - 5e5) / 1e5, np.log(values[3] / 10e-6) / np.log(2)], rtol=1e-12
+    )
+    assert free(CASE, [Parameter("force.k0")]).prior(jnp.zeros(1)).shape == (0,)
+
+
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
@@ -117,6 +147,22 @@ def test_the_unit_of_an_exponential_coefficient_follows_its_exponent():
         ([Parameter("force.r", bounds=(-1, 2))], "must be 0 or greater"),
         ([Parameter("force.kr", bounds=(0, 1, 2))], "3 given; they are two"),  # pyright: ignore[reportArgumentType]
         ([Parameter("force.kr", [0.1, 0.2])], "must be one number"),  # pyright: ignore[reportArgumentType]
+        ([Parameter("force.kr", prior=Prior(0.3))], "prior of force.kr: give std or factor, and only one of them"),
+        ([Parameter("force.kr", prior=Prior(0.3, 0.1, 2.0))], "prior of force.kr: give std or factor"),
+        ([Parameter("force.kr", prior=Prior(0.3, 0.0))], "prior of force.kr: std 0 given; it must be greater than 0"),
+        ([Parameter("force.kr", prior=Prior("3 N", 1))], "prior of force.kr: "),
+        ([Parameter("force.kr", prior=Prior(0.3, factor=2))], "a factor is for numbers that are positive by their bounds"),
+        ([Parameter("force.hs", prior=Prior("18 um", factor=1))], "factor 1 given; it must be greater than 1"),
+        ([Parameter("force.kr", 0.3, (0, 1), prior=Prior(2, 1))], "its mean 2 lies outside the bounds, 0 to 1"),
+        ([Tie("force.kr", "force.r")], "no free parameters given"),
+        ([Parameter("force.k0"), Tie("force.kr", "force.hs")], "force.kr: tied to force.hs, which is not free"),
+        ([Parameter("force.k0"), Tie("force.k0", "force.k0")], "force.k0: given twice"),
+        ([Parameter("force.r"), Tie("force.hss", "force.r")], "did you mean force.hs"),
+        (
+            [Parameter("force.kr"), Tie("force.hs", "force.kr")],
+            "which goes from -inf to inf, given; it must be greater than 0",
+        ),
+        ([Parameter("force.r"), Tie("force.kr", "force.r", 0.0)], "0 times force.r"),
     ],
 )
 def test_a_parameter_that_cannot_be_used_is_named_with_what_is_allowed(parameters, words):
