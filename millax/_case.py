@@ -4,8 +4,10 @@ import dataclasses
 
 import equinox as eqx
 
+from ._clock import Clock
 from ._cut import Cut
 from ._forces import ForceLaw
+from ._sensor import Sensor
 from ._settings import Settings
 from ._stock import Stock
 from ._structure import Structure
@@ -14,7 +16,8 @@ from .robot import Arm, at_tool
 
 
 class Case(eqx.Module):
-    """Tool, force law, cut, stock, structure and settings.
+    """Tool, force law, cut, stock, structure and settings; and where a trace of the cut is to be compared with a
+    simulation, what measured it: the sensor of its forces and its clock, None where they are those of the simulation.
 
     Every physical number is a leaf, under the name it has in a case file: `case.force.k0`, `case.cut.depth`,
     `case.structure.stiffness`, and where a robot holds the tool `case.robot.compliance`. Change one with
@@ -27,6 +30,8 @@ class Case(eqx.Module):
     stock: Stock
     structure: Structure | Arm
     settings: Settings
+    sensor: Sensor | None = None
+    clock: Clock | None = None
 
     @property
     def robot(self) -> Arm | None:

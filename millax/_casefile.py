@@ -15,6 +15,7 @@ from ._case import Case
 from ._casekeys import FORCE, LAWS, OTHER_TABLES, SECTIONS, Section, table_of
 from ._caseleaves import Leaf, leaves, rewrite
 from ._caserobot import arm_of
+from ._casesensor import clock_of, sensor_of
 from ._cut import Cut
 from ._settings import Settings
 from ._stock import Stock, passage
@@ -173,7 +174,8 @@ def _build(values: Mapping[str, dict[str, Any]], folder: Path) -> Case:
             raise ValueError("[structure] and [robot] given; each says what holds the tool. Give one of them")
         structure = arm_of(folder, *(values[name] for name in ("robot", "robot.tool", "robot.links", "robot.loads")))
     settings = Settings.suited(tool, law, structure, cut, **values["simulation"])
-    case = Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings)
+    sensor = sensor_of(*(values[name] for name in ("sensor", "sensor.resonances", "sensor.low_pass")))
+    case = Case(tool, law, cut, _stock(tool, cut, **values["stock"]), structure, settings, sensor, clock_of(values["clock"]))
     _require_met(case)
     return case
 

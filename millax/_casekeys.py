@@ -49,6 +49,8 @@ _SHAPES = {
     "links": (lambda v: v.ndim == 1, "a list with one number per elastic link"),
     "modes": (lambda v: v.shape in ((), (6,)), "one number, or a list of six, one per mode"),
     "vector": (lambda v: v.shape == (3,), "a list of three numbers"),
+    "resonances": (lambda v: v.ndim == 1, "a list with one number per resonance"),
+    "residues": (lambda v: v.ndim == 3 and v.shape[1:] == (3, 3), "a list with one matrix of 3 by 3 per resonance"),
     "array": (lambda v: v.ndim <= 2, "one number, a list with one per coordinate, or a matrix as a list of rows"),
     "matrix": (lambda v: v.ndim == 2, "a matrix as a list of rows"),
 }
@@ -327,6 +329,29 @@ SECTIONS: dict[str, Section] = {
             "moment": Quantity("N m", ANY, "vector", required=False),
             "gravity": Quantity("m/s^2", ANY, "vector", required=False),
         },
+        required=False,
+    ),
+    "sensor": Section(
+        {
+            "gain": Quantity("", ANY, "vector", required=False),
+            "bias": Quantity("N", ANY, "vector", required=False),
+            "delay": Quantity("s", required=False),
+        },
+        required=False,
+    ),
+    "sensor.resonances": Section(
+        {
+            "frequency": Quantity("Hz", POSITIVE, "resonances"),
+            "damping_ratio": Quantity("", POSITIVE, "resonances"),
+            "axes": Choice(AXES, several=True, required=False),
+            "residue": Quantity("", ANY, "residues", required=False),
+        },
+        exactly_one=(("axes", "residue"),),
+        required=False,
+    ),
+    "sensor.low_pass": Section({"cutoff": Quantity("Hz", POSITIVE), "order": Whole(1, required=False)}, required=False),
+    "clock": Section(
+        {"start": Quantity("s", required=False), "speed_error": Quantity("", Range(-1, closed=False), required=False)},
         required=False,
     ),
     "simulation": Section(

@@ -76,8 +76,10 @@ def _items(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int,
 
 
 def labels(section: str, key: str, index: tuple[int, ...], table: Mapping[str, Any]) -> list[str]:
-    """Names of the axes where there is one number per axis, of joints and modes, and numbers for rows, columns, coordinates
-    and teeth."""
+    """Names of the axes where there is one number per axis, of joints, modes and resonances, and numbers for rows, columns,
+    coordinates and teeth."""
+    if section == "sensor.resonances":
+        return [f"mode_{index[0] + 1}", *(AXES[i] for i in index[1:])]
     if len(index) == 1 and section == "robot":
         return [f"{'mode' if key == 'damping_ratio' else 'joint'}_{index[0] + 1}"]
     if len(index) == 1 and section != "tool" and "mode_shapes" not in table:

@@ -119,6 +119,9 @@ def _places(case: Case) -> dict[str, Place]:
         elif len(shape) == 1:
             for i, part in enumerate(_parts(case, section, key, shape[0])):
                 places[f"{section}.{key}.{part}"] = (section, key, (i,))
+        elif len(shape) == 3:
+            for index in np.ndindex(shape):
+                places[".".join((section, key, *labels(section, key, index, {})))] = (section, key, index)
     return places
 
 
