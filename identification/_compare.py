@@ -11,7 +11,8 @@ from millax import Case, Simulation
 from millax._types import AXES
 
 from ._measured import TraceError
-from ._traces import UNEVEN, Trace
+from ._sampling import UNEVEN
+from ._traces import Trace
 
 PER_TOOTH = 4
 """Fewest samples per tooth period: with fewer, the force of a tooth is not resolved."""

@@ -10,7 +10,11 @@ force.k0 = "5000 N/mm^2"
 
 [[trace]]
 file = "trace.csv"                      # beside the case file
-channels = ["Fx", "Fy", "x", "y"]       # default: all columns
+format = "csv"                          # or "dynoware", "mat", "hdf5", "tdms"; default: found from the file
+columns = { time = "Time", Fx = "-Fz", x = "laser [um]" }   # what the file calls them; default: by the channels' names
+channels = ["Fx", "Fy", "x", "y"]       # default: all columns, or all that columns = ... names
+rate = "10 kHz"                         # of sampling, for a file without times
+resample = true                         # interpolate uneven times, which are refused otherwise
 noise = { Fx = "2 N", x = "1 um" }      # standard deviation where it is known; estimated where it is not
 window = ["0 s", "0.3 s"]               # default: the whole trace
 case = { cut.spindle_speed = "8000 rpm" }   # where this cut differs from the case above; free numbers are shared
@@ -42,7 +46,7 @@ from ._traces import Trace, read_trace
 _FREE_KEYS = ("guess", "bounds")
 
 _MEASURED: dict[str, tuple[Callable[..., Trace | LoadTest], tuple[str, ...]]] = {
-    "trace": (read_trace, ("file", "channels", "noise", "window", "case")),
+    "trace": (read_trace, ("file", "format", "columns", "channels", "noise", "window", "rate", "resample", "case")),
     "load_test": (read_load_test, ("file", "channels", "noise", "case")),
 }
 """The tables of what was measured: what reads their files, and their keys."""
@@ -175,11 +179,14 @@ def _sources(file: CaseFile) -> list[_Source]:
         for i, table in enumerate(given, 1):
             _check_keys(f"[{kind}]", table, keys)
             if not isinstance(table.get("file"), str):
-                raise ValueError(f'[[{kind}]]: file is missing; it names the CSV file: file = "{kind}.csv"')
+                raise ValueError(f'[[{kind}]]: file is missing; it names the file: file = "{kind}.csv"')
             for key, form, words in (
+                ("format", str, 'a word, such as "dynoware"'),
+                ("columns", Mapping, 'a table, such as { time = "Time", Fx = "-Fz", x = "laser [um]" }'),
                 ("channels", list, 'a list, such as ["Fx", "x"]'),
                 ("noise", Mapping, 'a table, such as { x = "10 um" }'),
                 ("window", list, 'two times, such as ["0 s", "0.3 s"]'),
+                ("resample", bool, "true or false"),
                 ("case", Mapping, 'a table, such as { cut.spindle_speed = "8000 rpm" }'),
             ):
                 if key in table and not isinstance(table[key], form):

@@ -6,7 +6,7 @@ column of q the robot stands as in its case.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -122,16 +122,16 @@ def read_load_test(
 
     **Arguments:**
 
-    - `path`: the file. Commas between the columns, points in the numbers.
+    - `path`: the file.
     - `channels`: which of x, y, z, rx, ry, rz to use. None: all there are; every other column must then be q or a load.
     - `noise`: standard deviation of the noise per channel ("10 um"), where it is known.
 
     Raises `TraceError`, which names the file and the row or column.
     """
     path = Path(path)
-    table = read_table(path, LAYOUT, channels)
+    table = read_table(path, LAYOUT, channels, format="csv")
     table.check_finite(REPAIR)
-    return LoadTest(
+    test = LoadTest(
         joints=_joints(table),
         force=table.of(*FORCE),
         channels=table.channels,
@@ -139,8 +139,9 @@ def read_load_test(
         moment=table.of(*MOMENT),
         noise=table.noise(noise),
         units=table.units,
-        name=path.name,
+        name=str(path),
     )
+    return replace(test, name=path.name)  # the path is for messages
 
 
 def _joints(table: Table) -> np.ndarray | None:

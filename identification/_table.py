@@ -1,17 +1,17 @@
-"""Measurements in CSV files: one header row, each column with its unit, as `time [s],Fx [N],x [um]`."""
+"""Which columns of a file are what, in SI units: the same for every format of file and every kind of measurement."""
 
-import csv
 import difflib
-import io
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from millax._units import UnitError, parse
 
+from ._formats import read_raw
+from ._formats._raw import Clock, Raw, RawColumn, listed, shown, split_label
 from ._measured import TraceError, check_finite, known_channel
 
 
@@ -24,7 +24,7 @@ class Layout:
     - `channels`: what is measured, with SI units. Only these may be left out by saying which channels to use.
     - `others`: what else a file may hold, with SI units.
     - `numbered`: columns that come as name1, name2 and so on, by the name without the number, with SI units.
-    - `required`: those of the others that must be there.
+    - `any_case`: those of the others that may be written with capitals.
     """
 
     kind: str
@@ -32,7 +32,7 @@ class Layout:
     channels: Mapping[str, str]
     others: Mapping[str, str]
     numbered: Mapping[str, str] = field(default_factory=dict)
-    required: tuple[str, ...] = ()
+    any_case: tuple[str, ...] = ()
 
     def unit(self, name: str) -> str | None:
         """The SI unit of a column; None for one that is unknown."""
@@ -40,6 +40,14 @@ class Layout:
         if series and series[1] in self.numbered:
             return self.numbered[series[1]]
         return self.others.get(name) or self.channels.get(name)
+
+    def known(self, written: str) -> str:
+        """The name of a column that a file calls `written`."""
+        return written.lower() if written.lower() in self.any_case else written
+
+    def hint(self, name: str) -> str:
+        """The name that an unknown one may be meant to be, as a sentence."""
+        return _hint(name, [*self.others, *self.channels])
 
     @property
     def words(self) -> str:
@@ -49,21 +57,23 @@ class Layout:
 
 @dataclass(frozen=True)
 class Column:
-    """Where a column stands in its file, and its unit as it is written, in SI `scale`."""
+    """Where a column stands in its file, its unit as it is written, and what its numbers are multiplied by: their unit in SI
+    and their sign."""
 
     index: int
     name: str
     unit: str
-    scale: float
+    factor: float
 
 
 @dataclass(frozen=True)
 class Table:
     """The columns of a file that are used.
 
-    - `columns`: in the order of the file.
+    - `columns`: in the order of the file, or in that in which they were asked for.
     - `numbers`: SI, shape (rows, columns), NaN where a cell is no number.
-    - `lines`: of the file, in which the rows stand, from 1.
+    - `lines`: where the rows stand in the file, and `row`, what that is called.
+    - `clocks`: the times that the file states for each column; None where it states none.
     """
 
     path: Path
@@ -71,6 +81,8 @@ class Table:
     columns: tuple[Column, ...]
     numbers: np.ndarray
     lines: np.ndarray
+    row: str
+    clocks: Mapping[str, Clock | None]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,11 +107,11 @@ class Table:
 
     def part(self, rows: np.ndarray) -> "Table":
         """Some of the rows."""
-        return Table(self.path, self.layout, self.columns, self.numbers[rows], self.lines[rows])
+        return replace(self, numbers=self.numbers[rows], lines=self.lines[rows])
 
     def place(self, row: int) -> str:
         """Where a row stands in the file."""
-        return f"row {self.lines[row]}"
+        return f"{self.row} {self.lines[row]}"
 
     def check_finite(self, cure: str) -> None:
         """Raise `TraceError` for a cell that is not a finite number, with `cure`, what to do."""
@@ -116,85 +128,122 @@ class Table:
         }
 
 
-def read_table(path: Path, layout: Layout, channels: Sequence[str] | None) -> Table:
-    """Read a CSV file: commas between the columns, points in the numbers; of the channels those named, None: all.
+def read_table(
+    path: Path,
+    layout: Layout,
+    channels: Sequence[str] | None,
+    *,
+    columns: Mapping[str, str] | None = None,
+    format: str | None = None,
+) -> Table:
+    """Read a file; of the channels those named, None: all. `columns` says what the file calls them, where it uses other
+    names; `read_trace` says how.
 
     Raises `TraceError`, which names the file and the row or column.
     """
-    rows = _rows(path, layout)
-    columns = _header(path, layout, rows[0] if rows else [], channels)
-    return Table(path, layout, columns, *_numbers(path, rows, columns))
-
-
-def _rows(path: Path, layout: Layout) -> list[list[str]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise TraceError(f"{path}: the {layout.kind} cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise TraceError(f"{path}: not a text file in UTF-8; a {layout.kind} is a CSV file") from None
-    try:
-        return list(csv.reader(io.StringIO(text)))
-    except csv.Error as error:
-        raise TraceError(f"{path}: not a CSV file: {error}") from None
-
-
-def _header(path: Path, layout: Layout, header: list[str], channels: Sequence[str] | None) -> tuple[Column, ...]:
-    """The channels asked for and what else is known, with their units checked."""
-    example = f"such as {layout.example}"
-    if not header:
-        raise TraceError(f"{path}: the file is empty; its first row names the columns, {example}")
-    if len(header) == 1 and ";" in header[0]:
-        raise TraceError(f"{path}: semicolons between the columns; use commas, and points in the numbers")
     for channel in channels or ():
         known_channel(channel, layout.channels, f"{path}: channels")
+    raw = read_raw(path, layout.kind, format)
+    if not raw.columns:
+        begin = f"its first row names the columns, such as {layout.example}" if raw.text else "there is no array of samples"
+        raise TraceError(f"{path}: the file is empty; {begin}")
+    used = _by_name(path, raw, layout, channels) if columns is None else _as_told(path, raw, layout, channels, columns)
+    missing = [channel for channel in channels or () if channel not in {column.name for column in used}]
+    if missing:
+        where = "the columns are " + raw.names if columns is None else "columns = ... names " + listed(list(columns))
+        raise TraceError(f"{path}: no column {missing[0]}; {where}")
+    if not any(column.name in layout.channels for column in used):
+        beside = f" beside {listed([column.name for column in used])}" if used else ""
+        raise TraceError(f"{path}: there is no channel{beside}; known are {', '.join(layout.channels)}")
+    numbers, lines = raw.numbers([column.index for column in used])
+    clocks = {column.name: raw.columns[column.index].clock for column in used}
+    return Table(path, layout, used, numbers * [column.factor for column in used], lines, raw.row, clocks)
+
+
+def _by_name(path: Path, raw: Raw, layout: Layout, channels: Sequence[str] | None) -> tuple[Column, ...]:
+    """The channels asked for and what else is known, by the names they have in the file."""
     found: dict[str, Column] = {}
-    for index, cell in enumerate(header):
-        match = re.fullmatch(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*", cell)
-        name, unit = (match[1], match[2]) if match else (cell, None)
-        si = layout.unit(name)
-        if channels is not None and name not in channels and (si is None or name in layout.channels):
+    for index, column in enumerate(raw.columns):
+        name = layout.known(column.last)
+        known = layout.unit(name) is not None
+        if channels is not None and name not in channels and (not known or name in layout.channels):
             continue
-        where = f'{path}: column {index + 1} "{cell}"'
-        if si is None:
-            near = difflib.get_close_matches(name, [*layout.others, *layout.channels], n=1)
-            hint = f" Did you mean {near[0]}?" if near else ""
+        if not known:
+            begin = f"The first row names the columns, such as {layout.example}; known" if raw.text else "Known"
             raise TraceError(
-                f"{where} is not a channel.{hint} The first row names the columns, {example}; known are {layout.words}. "
+                f"{path}: {column.label} is not a channel.{layout.hint(column.last)} {begin} are {layout.words}. "
                 "To leave out others, say which to use: channels = [...]"
             )
-        if not unit:
-            raise TraceError(f"{where} has no unit; write {name} [{si}]")
-        try:
-            scale = parse(where, f"1 {unit}", si)
-        except UnitError:
-            raise TraceError(f"{where}: the unit {unit} is not one of {name}; use [{si}] or a multiple of it") from None
         if name in found:
-            raise TraceError(f"{where} is there twice, first as column {found[name].index + 1}; keep one")
-        found[name] = Column(index, name, unit, scale)
-    missing = [name for name in (*layout.required, *(channels or ())) if name not in found]
-    if missing:
-        raise TraceError(f"{path}: no column {missing[0]}; the columns are {', '.join(header)}")
-    if not found.keys() & layout.channels.keys():
-        beside = f" beside {', '.join(found)}" if found else ""
-        raise TraceError(f"{path}: there is no channel{beside}; known are {', '.join(layout.channels)}")
+            first = raw.columns[found[name].index].label
+            raise TraceError(
+                f"{path}: {column.label} is there twice, first as {first}; keep one{_instead(raw, name, column)}"
+            )
+        found[name] = _column(path, raw, layout, index, name)
     return tuple(found.values())
 
 
-def _numbers(path: Path, rows: list[list[str]], columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
-    """The columns in SI, shape (rows, columns), NaN where a cell is no number; and the line of each row in the file."""
-    width = len(rows[0])
-    lines = [number for number, row in enumerate(rows, start=1) if number > 1 and any(cell.strip() for cell in row)]
-    for number in lines:
-        if len(rows[number - 1]) != width:
-            found = len(rows[number - 1])
-            raise TraceError(f"{path}: row {number} has {found} cells, the header has {width}; is the file cut short?")
-    table = np.array([[_number(rows[number - 1][column.index]) for column in columns] for number in lines])
-    return table.reshape(-1, len(columns)) * [column.scale for column in columns], np.array(lines, dtype=int)
+def _as_told(
+    path: Path, raw: Raw, layout: Layout, channels: Sequence[str] | None, columns: Mapping[str, str]
+) -> tuple[Column, ...]:
+    """The columns told, and those that may be written in any case by their own name."""
+    found = []
+    for name, told in columns.items():
+        if layout.unit(name) is None:
+            raise TraceError(f"{path}: columns: {name!r} is unknown.{layout.hint(name)} Known are {layout.words}")
+        if not isinstance(told, str) or not told.strip(" -"):
+            raise TraceError(f'{path}: columns: {name} = {told!r} given; it must be the name of a column, such as "-Fz [N]"')
+        if channels is not None and name in layout.channels and name not in channels:
+            continue
+        wanted, unit = split_label(told.strip().removeprefix("-"))
+        index = _position(path, raw, name, wanted)
+        found.append(_column(path, raw, layout, index, name, unit, -1 if told.strip().startswith("-") else 1))
+    for name in layout.any_case:
+        if name not in columns and any(layout.known(column.last) == name for column in raw.columns):
+            written = next(column.last for column in raw.columns if layout.known(column.last) == name)
+            found.insert(0, _column(path, raw, layout, _position(path, raw, name, written), name))
+    return tuple(found)
 
 
-def _number(cell: str) -> float:
+def _position(path: Path, raw: Raw, name: str, wanted: str) -> int:
+    """Of the column that the file calls `wanted`, with or without the levels above it."""
+    for names in ([column.name for column in raw.columns], [column.last for column in raw.columns]):
+        if names.count(wanted) == 1:
+            return names.index(wanted)
+        if wanted in names:
+            same = [column.label for column in raw.columns if wanted in (column.name, column.last)]
+            what = "keep one" if raw.text else f'say which: columns = {{ {name} = "..." }}, with the levels above it'
+            raise TraceError(f'{path}: "{shown(wanted)}" is there more than once, as {listed(same)}; {what}')
+    near = _hint(wanted, [column.name for column in raw.columns])
+    raise TraceError(f'{path}: columns: no column "{shown(wanted)}" for {name}.{near} The columns are {raw.names}')
+
+
+def _column(path: Path, raw: Raw, layout: Layout, index: int, name: str, told: str | None = None, sign: int = 1) -> Column:
+    """A column, with its unit and the one told checked against what is measured."""
+    column, si = raw.columns[index], layout.unit(name)
+    assert si
+    where = f"{path}: {column.label}"
+    unit = column.unit or told
+    if unit is None:
+        raise TraceError(f"{where} has no unit; write {name} [{si}]{_instead(raw, name, column, f' [{si}]')}")
+    scale = _scale(where, unit, name, si)
+    if told is not None and not np.isclose(_scale(f"{path}: columns", told, name, si), scale, rtol=1e-12, atol=0):
+        raise TraceError(f"{where}: columns says {name} is in {told}, the file {shown(unit)}; leave the unit out")
+    return Column(index, name, unit, sign * scale)
+
+
+def _scale(where: str, unit: str, name: str, si: str) -> float:
     try:
-        return float(cell)
-    except ValueError:
-        return np.nan
+        return parse(where, f"1 {unit}", si)
+    except UnitError:
+        raise TraceError(f"{where}: the unit {shown(unit)} is not one of {name}; use [{si}] or a multiple of it") from None
+
+
+def _instead(raw: Raw, name: str, column: RawColumn, unit: str = "") -> str:
+    """What to do about a column in a file that cannot be edited."""
+    return "" if raw.text else f', or say it: columns = {{ {name} = "{shown(column.name)}{unit}" }}'
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" Did you mean {near[0]}?" if near else ""

@@ -1,12 +1,11 @@
-"""Measured traces: reading a CSV file, and every check that can be made before a model is asked.
+"""Measured traces: reading a file, and every check that can be made before a model is asked.
 
-A file has one header row, each column with its unit: `time [s],Fx [N],Fy [N],x [m]`. Times count from the start of the
-simulation, forces act on the tool, displacements are deviations of the tool centre from its commanded path: the format
-in which `millax simulate` writes traces.
+Times count from the start of the simulation, forces act on the tool, displacements are deviations of the tool centre from
+its commanded path. `millax simulate` writes traces as CSV, each column with its unit: `time [s],Fx [N],Fy [N],x [m]`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -15,19 +14,16 @@ import numpy as np
 from millax._units import parse
 
 from ._measured import Measured, TraceError, check_finite
+from ._sampling import even_grid, resampled, stated_times
 from ._table import Layout, read_table
 
 CHANNELS = {"Fx": "N", "Fy": "N", "Fz": "N", "x": "m", "y": "m", "z": "m"}
 """Every channel that can be compared with the model, and its SI unit."""
 
-LAYOUT = Layout("trace", "time [s],Fx [N],Fy [N],x [mm]", CHANNELS, {"time": "s"}, required=("time",))
+LAYOUT = Layout("trace", "time [s],Fx [N],Fy [N],x [mm]", CHANNELS, {"time": "s"}, any_case=("time",))
 """The columns of a file."""
 
 REPAIR = "Repair the samples, or choose a window without them"
-
-UNEVEN = 0.05
-"""Largest deviation of a time stamp from an even grid, in sampling steps: more than rounding makes of it, less than a
-lost sample does."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +62,7 @@ class Trace(Measured):
         self.check_channels()
         check_finite(self.name, np.column_stack([time, values]), ("time", *self.channels), _sample, REPAIR)
         # The rounding of single time stamps is not part of the measurement: the even grid through them is.
-        object.__setattr__(self, "time", _even_grid(self.name, time, _sample))
+        object.__setattr__(self, "time", even_grid(self.name, time, _sample))
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "channels", tuple(self.channels))
         self.check_not_zero()
@@ -80,29 +76,56 @@ class Trace(Measured):
 def read_trace(
     path: str | Path,
     *,
+    format: str | None = None,
+    columns: Mapping[str, str] | None = None,
     channels: Sequence[str] | None = None,
     noise: Mapping[str, float | str] | None = None,
     window: Sequence[float | str] | None = None,
+    rate: float | str | None = None,
+    resample: bool = False,
 ) -> Trace:
-    """Read a CSV file.
+    """Read a file.
+
+    In a file with levels (structures of MAT, groups of HDF5 and TDMS) a column is a path, "cut1/forces/Fx", of which the
+    last part will do where it is there once. Of an array with several channels a column is "forces[0]", "forces[1]" and so
+    on: samples run along its longer axis.
 
     **Arguments:**
 
-    - `path`: the file. Commas between the columns, points in the numbers.
-    - `channels`: the columns to use. None: all, which must then all be channels.
+    - `path`: the file.
+    - `format`: "csv", "dynoware", "mat", "tdms" or "hdf5". None: found from the content and the extension.
+    - `columns`: what the file calls a channel or the time, with a sign and a unit where the file has none:
+      `{"time": "Time", "Fx": "-Fz", "x": "laser [um]"}`. Only these are used, and a column time, which need not be named.
+      None: columns have the names of the channels.
+    - `channels`: the channels to use. None: all, which without `columns` means that every column must be one.
     - `noise`: standard deviation of the noise per channel ("2 N"), where it is known.
     - `window`: (start, end) of the part to use ("0.1 s").
+    - `rate`: of sampling ("10 kHz"), for a file without times: they then begin at 0.
+    - `resample`: whether uneven times are made even, by linear interpolation at the median step, where no more than three
+      samples in a row are lost.
 
-    Raises `TraceError`, which names the file and the row or column.
+    Raises `TraceError`, which names the file and the row or column; `ValueError` for `noise`, `window` and `rate` that are
+    no quantities of their kind.
     """
     path = Path(path)
-    table = read_table(path, LAYOUT, channels)
+    table = read_table(path, LAYOUT, channels, columns=columns, format=format)
+    if "time" not in table.names:
+        time = stated_times(str(path), table.clocks, rate, len(table.lines))
+    elif rate is None:
+        time = table.of("time")[:, 0]
+    else:
+        raise TraceError(f"{path}: rate = {rate!r} given, but the file has a column of times; leave rate out")
     if window is not None:
-        table = table.part(_inside(path, table.of("time")[:, 0], window))
+        inside = _inside(path, time, window)
+        table, time = table.part(inside), time[inside]
     table.check_finite(REPAIR)
-    time, values = table.of("time")[:, 0], table.of(*table.channels)
-    _even_grid(str(path), time, table.place)
-    return Trace(time, table.channels, values, table.noise(noise), table.units, path.name)
+    values = table.of(*table.channels)
+    if resample:
+        time, values = resampled(str(path), time, values, table.place)
+    else:
+        even_grid(str(path), time, table.place)
+    trace = Trace(time, table.channels, values, table.noise(noise), table.units, str(path))
+    return replace(trace, name=path.name)  # the path is for messages
 
 
 def _inside(path: Path, time: np.ndarray, window: Sequence[float | str]) -> np.ndarray:
@@ -119,27 +142,3 @@ def _inside(path: Path, time: np.ndarray, window: Sequence[float | str]) -> np.n
 
 def _sample(i: int) -> str:
     return f"sample {i}"
-
-
-def _even_grid(name: str, time: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
-    """The even grid through the time stamps."""
-    if len(time) < 2:
-        raise TraceError(f"{name}: {len(time)} samples; a trace needs many more")
-    steps = np.diff(time)
-    if not (steps > 0).all():
-        i = int(np.argmax(steps <= 0)) + 1
-        raise TraceError(
-            f"{name}: {place(i)}, column time: {time[i]:.9g} s follows {time[i - 1]:.9g} s; sort the samples, and "
-            "remove repeated ones"
-        )
-    index = np.arange(len(time))
-    slope, start = np.polyfit(index, time, 1)
-    grid = start + slope * index
-    if (np.abs(time - grid) > UNEVEN * slope).any():
-        usual = np.median(steps)
-        i = int(np.argmax(np.abs(steps - usual))) + 1
-        raise TraceError(
-            f"{name}: {place(i)}, column time: a step of {steps[i - 1]:.6g} s where {usual:.6g} s is usual. The time "
-            "must be even: resample the trace, or choose a window without the gap"
-        )
-    return grid

@@ -394,7 +394,7 @@ def test_traces_and_load_tests_of_a_file(problem, tmp_path):
     ("old", "new", "words"),
     [
         ("[[load_test]]", "[load_test]", "there is no [[load_test]], only load_test"),
-        ('file = "deflections.csv"\n', "", '[[load_test]]: file is missing; it names the CSV file: file = "load_test.csv"'),
+        ('file = "deflections.csv"\n', "", '[[load_test]]: file is missing; it names the file: file = "load_test.csv"'),
         ('file = "deflections.csv"', 'file = "none.csv"', "none.csv: the load test cannot be read"),
         ("noise =", "window =", "[[load_test]]: unknown key window"),
         ("noise =", "channels =", "[[load_test]]: channels ="),
