@@ -11,6 +11,7 @@ from millax import Case, Simulation
 from millax._types import AXES
 
 from ._measured import TraceError
+from ._resample import kernel, resample
 from ._sampling import UNEVEN
 from ._traces import Trace
 
@@ -24,35 +25,58 @@ PERIODS = 3
 class Comparison(eqx.Module):
     """One trace, ready to be compared with simulations of one case.
 
-    The sample j of a simulation belongs to the middle of its time step j. Between the samples the model is interpolated
-    linearly: second order in the step, as the simulation is, and differentiable also where the step depends on a free
-    spindle speed. Before the first and after the last sample it is continued by the half step they stand for.
+    The sample j of a simulation belongs to the middle of its time step j. Where the case has a sensor or a clock, the trace
+    is one of an instrument: the forces are what the sensor makes of them, and the model is read at the times of the clock,
+    limited to the band that a trace sampled at this rate holds, see `_resample`.
 
-    Where the trace has the time stamps of the simulation, or every k-th of them, up to their rounding, `taken` says which
-    samples to take as they are (first, last + 1, k); otherwise it is None.
+    Where the case has neither, the times are those of the simulation, and the model is interpolated linearly: second order
+    in the step, as the simulation is, and differentiable also where the step depends on a free spindle speed. Before the
+    first and after the last sample it is continued by the half step they stand for. Where the trace has the time stamps of
+    the simulation, or every k-th of them, up to their rounding, `taken` says which samples to take as they are (first,
+    last + 1, k); otherwise it is None.
     """
 
     time: Float[Array, " samples"]
     measured: Float[Array, "channels samples"]
+    kernel: Float[np.ndarray, "coefficients taps"] | None
     taken: tuple[int, int, int] | None = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
 
-    def predict(self, sim: Simulation) -> Float[Array, "channels samples"]:
-        """The model's channels [N, m] at the times of the trace."""
-        model = [
-            sim.displacement[:, sim.axes.index(channel)] if channel in AXES else sim.force[:, "xyz".index(channel[1])]
-            for channel in self.channels
-        ]
+    def predict(self, sim: Simulation, case: Case) -> Float[Array, "channels samples"]:
+        """The model's channels [N, m] at the times of the trace, of a case and its simulation."""
+        step, force = sim.time[1] - sim.time[0], sim.force
+        if case.sensor is not None:
+            force = case.sensor(force, step)
+        model = jnp.stack(
+            [
+                sim.displacement[:, sim.axes.index(channel)] if channel in AXES else force[:, "xyz".index(channel[1])]
+                for channel in self.channels
+            ]
+        )
         if self.taken is not None:
-            return jnp.stack([channel[slice(*self.taken)] for channel in model])
-        position = _position(self.time, sim.time)
-        before = jnp.clip(jnp.floor(position), 0, len(sim.time) - 2).astype(int)
-        weight = position - before
-        return jnp.stack([(1 - weight) * channel[before] + weight * channel[before + 1] for channel in model])
+            return model[:, slice(*self.taken)]
+        time = self.time if case.clock is None else case.clock(self.time)
+        if self.kernel is None:
+            position = _position(time, sim.time)
+            before = jnp.clip(jnp.floor(position), 0, len(sim.time) - 2).astype(int)
+            weight = position - before
+            return (1 - weight) * model[:, before] + weight * model[:, before + 1]
+        if case.sensor is None:
+            return resample(model, _position(time, sim.time), self.kernel)
+        # Only forces go through the sensor, and are late by its delay.
+        late = [resample(model, _position(time - delay, sim.time), self.kernel) for delay in (0.0, case.sensor.delay)]
+        return jnp.where(np.array([channel in AXES for channel in self.channels])[:, None], *late)
 
-    def covered(self, sim: Simulation) -> Bool[Array, ""]:
+    def covered(self, sim: Simulation, case: Case) -> Bool[Array, ""]:
         """Whether the simulation is long enough for the trace."""
-        return _position(self.time[-1], sim.time) <= len(sim.time) - 0.5 + UNEVEN
+        time = self.time if case.clock is None else case.clock(self.time)
+        position = _position(time[jnp.array([0, -1])], sim.time)
+        return (position[0] >= -0.5 - UNEVEN) & (position[1] <= len(sim.time) - 0.5 - self._margin + UNEVEN)
+
+    @property
+    def _margin(self) -> int:
+        """Steps at the end of the simulation from which nothing can be read: it is not known what follows them."""
+        return 0 if self.kernel is None else self.kernel.shape[1] // 2
 
 
 def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Comparison:
@@ -87,21 +111,25 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
             f"{trace.name}: {length:.4g} s long, {length / tooth_period:.2g} tooth periods; at least {PERIODS} "
             f"({PERIODS * tooth_period:.4g} s) are needed"
         )
-    position = _position(trace.time, (np.arange(2) + 0.5) * step)
+    instrument = case.clock is not None or case.sensor is not None
+    band = kernel(0.5 * step / trace.step) if instrument else None
+    margin = 0 if band is None else band.shape[1] // 2
+    time = trace.time if case.clock is None else np.asarray(case.clock(trace.time))
+    position = _position(time, (np.arange(2) + 0.5) * step)
     if position[0] < -0.5 - UNEVEN:
-        raise TraceError(
-            f"{trace.name}: it begins at {trace.time[0]:.6g} s, before the simulation does at 0 s. Choose a window"
-        )
+        cure = "Choose a window, or say with [clock] what its first sample is" if case.clock is None else "Raise clock.start"
+        raise TraceError(f"{trace.name}: it begins at {time[0]:.6g} s, before the simulation does at 0 s. {cure}")
     steps = case.settings.steps
-    if position[-1] > steps - 0.5 + UNEVEN:
+    if position[-1] > steps - 0.5 - margin + UNEVEN:
+        end = f"{steps * step:.6g} s" + (f", of which the last {margin} steps cannot be read" if margin else "")
         raise TraceError(
-            f"{trace.name}: it ends at {trace.time[-1]:.6g} s, after the simulation does at {steps * step:.6g} s. "
+            f"{trace.name}: it ends at {time[-1]:.6g} s, after the simulation does at {end}. "
             "Raise simulation.duration, or choose a window"
         )
     nearest = np.rint(position).astype(int)
-    aligned = "cut.spindle_speed" not in free_names and np.abs(position - nearest).max() <= UNEVEN
+    aligned = not instrument and "cut.spindle_speed" not in free_names and np.abs(position - nearest).max() <= UNEVEN
     taken = (int(nearest[0]), int(nearest[-1]) + 1, int(nearest[1] - nearest[0])) if aligned else None
-    return Comparison(jnp.asarray(trace.time), jnp.asarray(trace.values.T), taken, trace.channels)
+    return Comparison(jnp.asarray(trace.time), jnp.asarray(trace.values.T), band, taken, trace.channels)
 
 
 def _position(time, model_time):

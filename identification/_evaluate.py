@@ -58,8 +58,8 @@ def evaluate(
             if isinstance(comparison, Deflection):
                 fitted.append(comparison.predict(changed[i]))
             else:
-                fitted.append(comparison.predict(sims[i]))
-                covered.append(comparison.covered(sims[i]))
+                fitted.append(comparison.predict(sims[i], changed[i]))
+                covered.append(comparison.covered(sims[i], changed[i]))
         status = jnp.stack([jnp.array(0), *(sim.status for sim in sims.values())])
         return tuple(fitted), (jnp.max(status), jnp.stack(covered).all())
 

@@ -26,6 +26,7 @@ def _resonances(frequency, damping_ratio, axes=None, residue=None) -> Resonances
         )
     if residue is not None:
         return Resonances(frequency, damping_ratio, residue)
+    assert axes is not None  # one of the two is given
     if len(axes) != len(frequency):
         raise ValueError(f"sensor.resonances.axes: {len(axes)} given for {len(frequency)} resonances; give one for each")
     return Resonances.per_axis(frequency, damping_ratio, axes)

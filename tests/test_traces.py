@@ -154,16 +154,16 @@ def test_the_model_s_own_samples_are_reproduced_exactly():
     time = np.round(np.asarray(sim.time), 6)
     comparison = compare(trace_at(time), CASE)
     expected = np.concatenate([np.asarray(sim.force)[:, :2], np.asarray(sim.displacement)], axis=1).T
-    np.testing.assert_array_equal(comparison.predict(sim), expected)
+    np.testing.assert_array_equal(comparison.predict(sim, CASE), expected)
     every_third = compare(trace_at(time[6::3]), CASE)
-    np.testing.assert_array_equal(every_third.predict(sim), expected[:, 6::3])
+    np.testing.assert_array_equal(every_third.predict(sim, CASE), expected[:, 6::3])
 
 
 def test_between_samples_a_straight_line_is_exact_and_a_curve_second_order():
     sim = simulation()
     # From the start to the end of the simulation: half a step outside the samples at both ends.
     time = np.linspace(0, 10 * PERIOD, 333)
-    force_x, force_y, x, _ = np.asarray(compare(trace_at(time), CASE).predict(sim))
+    force_x, force_y, x, _ = np.asarray(compare(trace_at(time), CASE).predict(sim, CASE))
     np.testing.assert_allclose(force_x, 1 + 2 * time, rtol=1e-12)
     np.testing.assert_allclose(force_y[2:-2], np.sin(300 * time[2:-2]), atol=(300 * STEP) ** 2 / 8)
     np.testing.assert_allclose(x[2:-2], np.cos(500 * time[2:-2]), atol=(500 * STEP) ** 2 / 8)
@@ -173,7 +173,7 @@ def test_a_free_spindle_speed_shifts_the_samples_differentiably():
     time = np.arange(300) * STEP * 1.0923 + 0.7 * STEP
     comparison = compare(trace_at(time), CASE, ["cut.spindle_speed"])
     assert comparison.taken is None
-    predict = lambda period: comparison.predict(simulation(period))  # noqa: E731
+    predict = lambda period: comparison.predict(simulation(period), CASE)  # noqa: E731
     slope = jax.jvp(predict, (PERIOD,), (1.0,))[1]
     h = 1e-9
     difference = (predict(PERIOD + h) - predict(PERIOD - h)) / (2 * h)
@@ -185,8 +185,8 @@ def test_a_free_spindle_speed_shifts_the_samples_differentiably():
 
 def test_a_simulation_that_a_higher_speed_makes_too_short_is_told():
     comparison = compare(trace_at(np.asarray(simulation().time)), CASE, ["cut.spindle_speed"])
-    assert bool(comparison.covered(simulation()))
-    assert not bool(comparison.covered(simulation(0.99 * PERIOD)))
+    assert bool(comparison.covered(simulation(), CASE))
+    assert not bool(comparison.covered(simulation(0.99 * PERIOD), CASE))
 
 
 @pytest.mark.parametrize(

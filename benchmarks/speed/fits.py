@@ -60,7 +60,7 @@ def _scipy(problem, sweeps: int):
     @jax.jit
     def residuals(x):
         changed = replace(case, dict(zip(names, guess * jnp.exp(x), strict=True)))
-        return ((comparison.predict(mx.simulate(changed, throw=False)) - comparison.measured) / sigma).ravel()
+        return ((comparison.predict(mx.simulate(changed, throw=False), changed) - comparison.measured) / sigma).ravel()
 
     def run():
         count = 0
