@@ -6,8 +6,8 @@ f[j] - (f[j+1] - 2 f[j] + f[j-1]) / 12 in place of f[j] makes up for it, to four
 resonances, or two orders of a low-pass filter) is then right to 0.3 % for a tone with 10 steps per period, 0.02 % with 20.
 Where the force jumps the error is second order in the step, as the simulation's.
 
-Before t = 0 force and chain are at rest. A trace that begins inside the cut has no transient of the start: leave out the
-first 1 / (zeta w_n) seconds, a few times.
+Before t = 0 there is no force and the chain is at rest. What this start excites dies out as exp(-zeta w_n t); a trace that
+begins inside the cut does not show it, and should be compared with later parts of the simulation.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,9 @@ class Resonances(eqx.Module):
 
     **Arguments:**
 
-    - `frequency`: natural frequencies w_m / (2 pi) [Hz], > 0, shape (m,). Those above half the sampling rate of the model
-      it cannot resolve; above the rate itself the recursion is no longer accurate.
-    - `damping_ratio`: zeta_m [-], > 0, also 1 and above, shape (m,).
+    - `frequency`: natural frequencies w_m / (2 pi) [Hz], > 0, shape (m,). Above half the rate of the model's steps it
+      cannot be told from a static gain; beyond twice that rate the recursion breaks down.
+    - `damping_ratio`: zeta_m [-], > 0, up to 3, and smooth at 1, shape (m,).
     - `residue`: R_m [-], shape (m, 3, 3).
 
     Raises `ValueError` for other shapes, and numbers out of these ranges.
@@ -79,7 +79,7 @@ class LowPass(eqx.Module):
 
     **Arguments:**
 
-    - `cutoff`: w_c / (2 pi) [Hz], > 0: where -3 dB are left.
+    - `cutoff`: w_c / (2 pi) [Hz], > 0: where -3 dB are left. Below twice the rate of the model's steps, as of `Resonances`.
     - `order`: n, >= 1. Static.
 
     Raises `ValueError` for other numbers.
