@@ -4,6 +4,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ._align import align
     from ._fit import Progress, fit
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
@@ -28,6 +29,7 @@ __all__ = [
     "Trace",
     "TraceError",
     "TraceFit",
+    "align",
     "check",
     "fit",
     "load_fit",
@@ -36,6 +38,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "_align": ("align",),
     "_fit": ("Progress", "fit"),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),

@@ -2,11 +2,13 @@
 
 from ._case import Case
 from ._casefile import CaseError, CaseFile, load_case
+from ._clock import Clock
 from ._cut import Cut
 from ._forces import ExponentialLaw, ForceLaw, FractionalLaw, LinearLaw
 from ._program import use_all_cores
 from ._reductions import REDUCTIONS, Reduction
 from ._runtime import set_up
+from ._sensor import LowPass, Resonances, Sensor
 from ._settings import Settings
 from ._simulate import STATUS, Simulation, SimulationError, simulate
 from ._stability import STABILITY_METHODS, StabilityProgress, limit_depth, spectral_radius, stability
@@ -25,14 +27,18 @@ __all__ = [
     "Case",
     "CaseError",
     "CaseFile",
+    "Clock",
     "Cut",
     "EndMill",
     "ExponentialLaw",
     "ForceLaw",
     "FractionalLaw",
     "LinearLaw",
+    "LowPass",
     "Reduction",
+    "Resonances",
     "Roughness",
+    "Sensor",
     "Settings",
     "Simulation",
     "SimulationError",

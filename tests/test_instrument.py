@@ -1,0 +1,179 @@
+"""Traces of an instrument: through a sensor, by a clock of its own; what a file says of both, and what a fit finds."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import SLOT_FILE, slot
+
+import millax as mx
+from identification import Parameter, Trace, TraceError, align, fit
+from identification._compare import compare
+from millax._names import quantity_of, replace, valid_names, value_of
+
+RATE = 10e3
+SENSOR = mx.Sensor(
+    gain=(1.0, -1.0, 1.0),
+    bias=(12.0, -7.0, 0.0),
+    delay=30e-6,
+    resonances=mx.Resonances.per_axis((1500.0, 1900.0), (0.05, 0.04), ("x", "y")),
+    low_pass=mx.LowPass(3500.0, 2),
+)
+CLOCK = mx.Clock(0.0217, 8e-5)
+TOOL = mx.EndMill(0.02, 4, runout=(8e-6, 0.0, -5e-6, 3e-6))
+RIGID = slot(structure=mx.Structure.rigid(), duration=0.25, start=(0.02, 0.0), steps_per_tooth=64, passes=4)
+CASE = dataclasses.replace(RIGID, tool=TOOL, sensor=SENSOR, clock=CLOCK)
+
+
+def recorded(case: mx.Case, length=0.2, seed=0, sigma=1.0) -> Trace:
+    """What the instrument of a case would record at its own rate: time stamps from 3 s on."""
+    time = 3.0 + np.arange(round(length * RATE)) / RATE
+    blank = Trace(time, ("Fx", "Fy"), np.ones((len(time), 2)), {"Fx": sigma, "Fy": sigma})
+    values = np.asarray(compare(blank, case).predict(mx.simulate(case), case)).T
+    return dataclasses.replace(blank, values=values + np.random.default_rng(seed).normal(scale=sigma, size=values.shape))
+
+
+TRACE = recorded(CASE)
+
+
+def test_the_trace_is_what_a_finer_simulation_shows():
+    """The finer one has its own grid, and is read through the same sensor."""
+    fine = CASE.with_settings(steps_per_tooth=320)
+    found = compare(TRACE, CASE).predict(mx.simulate(CASE), CASE)
+    expected = compare(TRACE, fine).predict(mx.simulate(fine), fine)
+    np.testing.assert_allclose(found, expected, atol=0.01 * float(jnp.abs(expected).max()))
+
+
+def test_the_clock_and_the_delay_shift_the_model():
+    time = TRACE.time - TRACE.time[0]
+    np.testing.assert_allclose(CLOCK(TRACE.time), 0.0217 + (1 + 8e-5) * time, rtol=1e-14)
+    sim = mx.simulate(CASE)
+    later = dataclasses.replace(CASE, clock=mx.Clock(0.0217 - 30e-6, 8e-5), sensor=dataclasses.replace(SENSOR, delay=0.0))
+    one, other = (compare(TRACE, case).predict(sim, case) for case in (CASE, later))
+    np.testing.assert_allclose(one, other, atol=1e-9 * float(jnp.abs(other).max()))
+
+
+def guess(case: mx.Case) -> mx.Case:
+    """Without what a fit would have to find: clock and runout unknown, coefficients and resonances wrong."""
+    wrong = {"force.k0": 3.5e9, "force.hs": 30e-6, "sensor.bias.x": 0.0, "sensor.bias.y": 0.0}
+    wrong |= {"sensor.resonances.frequency.mode_1": 1400.0, "sensor.resonances.damping_ratio.mode_1": 0.1}
+    return dataclasses.replace(
+        replace(case, {name: jnp.asarray(value) for name, value in wrong.items()}), clock=mx.Clock(0.02)
+    )
+
+
+def test_phase_and_speed_are_guessed_from_the_trace():
+    case = guess(CASE)
+    found = align(case, TRACE)
+    turn = 4 * float(CASE.cut.tooth_period(TOOL))
+    assert 0.02 <= float(found.start) < 0.02 + turn
+    assert abs(float(found.start) - 0.0217) < 0.01 * turn
+    assert abs(float(found.speed_error) - 8e-5) < 2e-5
+    slow = dataclasses.replace(CASE, clock=mx.Clock(0.0217, -0.004))
+    assert abs(float(align(case, recorded(slow)).speed_error) + 0.004) < 1e-4
+
+
+def test_a_fit_finds_coefficients_runout_sensor_and_clock():
+    case = guess(CASE)
+    case = dataclasses.replace(case, clock=align(case, TRACE))
+    sensor = ["bias.x", "bias.y", "resonances.frequency.mode_1", "resonances.damping_ratio.mode_1"]
+    names = ["force.k0", "force.hs", "tool.runout.1", "tool.runout.2", "clock.start", "clock.speed_error"]
+    names += [f"sensor.{name}" for name in sensor]
+    result = fit(case, TRACE, [Parameter(name) for name in names])
+    assert result.success, result.message
+    errors = [(e.value - value_of(CASE, e.name)) / e.std for e in result.parameters]
+    # Runout counts from a tooth that is not free: only differences from it are known.
+    assert np.abs(errors).max() < 4
+    assert np.std(errors) > 0.3
+
+
+FILE = f"""\
+{SLOT_FILE}start = ["20 mm", 0]
+[sensor]
+gain = [1, -1, 1]
+bias = ["12 N", "-7 N", 0]
+delay = "30 us"
+[sensor.resonances]
+frequency = ["1500 Hz", "1.9 kHz"]
+damping_ratio = ["5 %", 0.04]
+axes = ["x", "y"]
+[sensor.low_pass]
+cutoff = "3500 Hz"
+[clock]
+start = "21.7 ms"
+speed_error = 8e-5
+[simulation]
+duration = "20 ms"
+"""
+
+
+def test_a_case_file_says_what_measured(tmp_path):
+    (tmp_path / "case.toml").write_text(FILE, encoding="utf-8")
+    file = mx.CaseFile.read(tmp_path / "case.toml")
+    for found, expected in ((file.case.sensor, SENSOR), (file.case.clock, CLOCK)):
+        for name, a, b in zip("abcdefgh", *map(leaves, (found, expected)), strict=False):
+            np.testing.assert_allclose(a, b, rtol=1e-12, err_msg=name)
+    names = valid_names(file.case)
+    assert {"sensor.gain.y", "sensor.delay", "sensor.low_pass.cutoff", "clock.start"} <= set(names)
+    assert "sensor.resonances.damping_ratio.mode_2" in names
+    assert quantity_of(file.case, "sensor.resonances.frequency.mode_1").unit == "Hz"
+    text = file.with_values({"sensor.bias.y": -3.0, "sensor.resonances.frequency.mode_2": 2000.0, "clock.start": 0.02})
+    assert '"-3 N"' in text
+    assert '"2 kHz"' in text
+    assert 'start = "20 ms"' in text
+    residue = "[[[1, 0, 0], [0, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 0.5]]]"
+    other = mx.CaseFile.from_text(FILE.replace('axes = ["x", "y"]', f"residue = {residue}"))
+    assert value_of(other.case, "sensor.resonances.residue.mode_2.z.z") == 0.5
+    assert "[0, 0, 0.25]" in other.with_values({"sensor.resonances.residue.mode_2.z.z": 0.25})
+
+
+def leaves(part):
+    import jax
+
+    return jax.tree.leaves(part)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('axes = ["x", "y"]', "", "give sensor.resonances.axes or sensor.resonances.residue"),
+        ('axes = ["x", "y"]', 'axes = ["x"]', "sensor.resonances.axes: 1 given for 2 resonances"),
+        ('axes = ["x", "y"]', "residue = [[1, 0], [0, 1]]", "a list with one matrix of 3 by 3 per resonance"),
+        ('damping_ratio = ["5 %", 0.04]', "damping_ratio = [0.05]", "2 frequencies and 1 damping ratios given"),
+        ('["1500 Hz", "1.9 kHz"]', '["1500 Hz", "-1 Hz"]', "sensor.resonances.frequency"),
+        ("gain = [1, -1, 1]", "gain = 2", "sensor.gain: 2 given; it must be a list of three numbers"),
+        ("speed_error = 8e-5", "speed_error = -1", "clock.speed_error: -1 given; it must be greater than -1"),
+        ("speed_error", "speederror", "clock.speederror is not a key of [clock]. Did you mean speed_error?"),
+        ("[clock]", "[clocks]", "[clocks] is not a table of a case file"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(old, new, words):
+    with pytest.raises(mx.CaseError) as error:
+        mx.CaseFile.from_text(FILE.replace(old, new))
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"clock": mx.Clock(-1e-3)}, "it begins at -0.001 s, before the simulation does at 0 s. Raise clock.start"),
+        ({"clock": mx.Clock(0.1)}, "of which the last 125 steps cannot be read. Raise simulation.duration"),
+    ],
+)
+def test_a_trace_that_the_simulation_does_not_cover_is_refused(change, words):
+    with pytest.raises(TraceError) as error:
+        compare(TRACE, dataclasses.replace(CASE, **change))
+    assert words in str(error.value)
+
+
+def test_what_cannot_be_aligned_is_refused():
+    moved = Trace(TRACE.time, ("x",), TRACE.values[:, :1])
+    for trace, case, words in (
+        (moved, CASE, "it has no force, which is what tells the phase of the spindle"),
+        (recorded(CASE, 0.01), CASE, "1.7 turns of the spindle long; two at least are needed"),
+        (TRACE, dataclasses.replace(CASE, clock=mx.Clock(0.249)), "no whole turn of the spindle is simulated after"),
+    ):
+        with pytest.raises(TraceError) as error:
+            align(case, trace)
+        assert words in str(error.value)
