@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from ._loadtest import LoadTest, read_load_test
     from ._measured import TraceError
     from ._parameters import Parameter
+    from ._quality import Finding, quality
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._traces import Trace, read_trace
 
@@ -17,6 +18,7 @@ __all__ = [
     "STATUS",
     "Check",
     "Estimate",
+    "Finding",
     "FitProblem",
     "FitResult",
     "LoadTest",
@@ -29,6 +31,7 @@ __all__ = [
     "check",
     "fit",
     "load_fit",
+    "quality",
     "read_load_test",
     "read_trace",
 ]
@@ -40,6 +43,7 @@ _HOMES = {
     "_loadtest": ("LoadTest", "read_load_test"),
     "_measured": ("TraceError",),
     "_parameters": ("Parameter",),
+    "_quality": ("Finding", "quality"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_traces": ("Trace", "read_trace"),
 }

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import tomllib
 from pathlib import Path
 
 import h5py
@@ -442,6 +443,15 @@ def test_a_case_file_says_how_a_file_is_read(tmp_path):
     np.testing.assert_allclose(trace.values[:, 0], -1e3 * (1 + trace.time))
     keys = 'columns = { Fx = "F [N]" }\nrate = "10 kHz"'
     assert load_fit(case_with(tmp_path, keys)).traces[0].samples == 399
+
+
+def test_the_example_of_the_readme_reads_an_export_of_dynoware(tmp_path):
+    readme = (CASE.parents[2] / "README.md").read_text(encoding="utf-8")
+    (keys,) = re.findall(r"(?m)^ *(columns = .*)$", readme)
+    (tmp_path / "slot.csv").write_text(dynoware(names="Time,Fx,Fy,laser", units="s,N,N,"), encoding="utf-8")
+    trace = read_trace(tmp_path / "slot.csv", **tomllib.loads(keys))
+    np.testing.assert_allclose(trace.values[:, 0], -FZ)
+    assert trace.channels == ("Fx", "Fy", "x")
 
 
 @pytest.mark.parametrize(
