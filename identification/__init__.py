@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ._loadtest import LoadTest, read_load_test
     from ._measured import TraceError
     from ._parameters import Parameter, Prior, Tie
+    from ._quality import Finding, quality
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._traces import Trace, read_trace
 
@@ -18,6 +19,7 @@ __all__ = [
     "STATUS",
     "Check",
     "Estimate",
+    "Finding",
     "FitProblem",
     "FitResult",
     "LoadTest",
@@ -33,6 +35,7 @@ __all__ = [
     "check",
     "fit",
     "load_fit",
+    "quality",
     "read_load_test",
     "read_trace",
 ]
@@ -45,6 +48,7 @@ _HOMES = {
     "_loadtest": ("LoadTest", "read_load_test"),
     "_measured": ("TraceError",),
     "_parameters": ("Parameter", "Prior", "Tie"),
+    "_quality": ("Finding", "quality"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_traces": ("Trace", "read_trace"),
 }

@@ -169,7 +169,7 @@ def test_ctrl_c_saves_the_best_so_far(make, tmp_path, monkeypatch):
         ([("[[trace]]", "[trace]")], "there is no [[trace]]"),
         ([('file = "trace.csv"\n', "")], "file is missing"),
         ([('file = "trace.csv"', 'file = "none.csv"')], "none.csv: the trace cannot be read"),
-        ([("channels =", "columns =")], "unknown key columns"),
+        ([("channels =", "chanels =")], "unknown key chanels. Did you mean channels?"),
         ([('["Fx", "Fy"]', '"Fx"')], "it must be a list"),
         ([('["Fx", "Fy"]', '["Fx", "x"]'), ("\n[[", "\n[[")], "no column x"),
         ([('["Fx", "Fy"]', '["Fx", "Fz"]')], "channel Fz is zero throughout"),

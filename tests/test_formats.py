@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import tomllib
 from pathlib import Path
 
 import h5py
@@ -342,9 +343,18 @@ def test_packed_numbers_are_not_taken_as_they_are(tmp_path):
     write_hdf5(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file["cut1/forces/Fz"].attrs["scale_factor"] = 0.1
-    with pytest.raises(TraceError, match='"cut1/forces/Fz" is packed: it has the attribute scale_factor'):
+    with pytest.raises(TraceError, match='"/cut1/forces/Fz" is packed: it has the attribute scale_factor'):
         read_trace(tmp_path / "a.h5", columns=COLUMNS)
     assert read_trace(tmp_path / "a.h5", columns={"Fx": "Fx"}).channels == ("Fx",)
+
+
+def test_a_name_that_is_not_in_utf8_does_no_harm(tmp_path):
+    write_hdf5(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["größe".encode("latin-1")] = FX
+    assert read_trace(tmp_path / "a.h5", columns=COLUMNS).samples == N
+    with pytest.raises(TraceError, match=r"The columns are .*gr\ufffd"):
+        read_trace(tmp_path / "a.h5", columns={"Fx": "Fq"})
 
 
 def test_of_two_variables_of_one_name_neither_is_taken(tmp_path):
@@ -442,6 +452,15 @@ def test_a_case_file_says_how_a_file_is_read(tmp_path):
     np.testing.assert_allclose(trace.values[:, 0], -1e3 * (1 + trace.time))
     keys = 'columns = { Fx = "F [N]" }\nrate = "10 kHz"'
     assert load_fit(case_with(tmp_path, keys)).traces[0].samples == 399
+
+
+def test_the_example_of_the_readme_reads_an_export_of_dynoware(tmp_path):
+    readme = (CASE.parents[2] / "README.md").read_text(encoding="utf-8")
+    (keys,) = re.findall(r"(?m)^ *(columns = .*)$", readme)
+    (tmp_path / "slot.csv").write_text(dynoware(names="Time,Fx,Fy,laser", units="s,N,N,"), encoding="utf-8")
+    trace = read_trace(tmp_path / "slot.csv", **tomllib.loads(keys))
+    np.testing.assert_allclose(trace.values[:, 0], -FZ)
+    assert trace.channels == ("Fx", "Fy", "x")
 
 
 @pytest.mark.parametrize(
@@ -572,7 +591,7 @@ def test_one_odd_cell_is_found_or_is_what_it_says(tmp_path, cut, where, cell, de
         assert changed.sum() <= 1
         if changed.any():
             plain = next(iter(csv.reader(io.StringIO(cell), delimiter=delimiter)))[0]
-            number = float(plain.replace(",", ".") if comma and delimiter != "," else plain)
+            number = float(plain.strip().replace(",", ".") if comma and delimiter != "," else plain)
             np.testing.assert_allclose(trace.values[changed], number * (1e-6 if where == 2 else 1), rtol=1e-9)
 
 

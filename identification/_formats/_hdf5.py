@@ -17,12 +17,13 @@ def read(path: Path) -> Raw:
 
     arrays: list[Array] = []
 
-    def visit(name: str, item: Any) -> None:
+    def visit(link: str | bytes, item: Any) -> None:
+        name = link.decode("utf-8", errors="replace") if isinstance(link, bytes) else link  # h5py's way with other encodings
         # MATLAB keeps texts as integers, and the size of an empty array in its place.
         texts = item.attrs.get("MATLAB_class") == b"char" or item.attrs.get("MATLAB_empty", 0)
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.shape and not texts and name[0] != "#":
             unit = _words(item.attrs.get("units", item.attrs.get("unit")))
-            arrays.append(Array(name, item.shape, partial(_dataset, path, name), unit))
+            arrays.append(Array(name, item.shape, partial(_dataset, path, link), unit))
 
     try:
         with h5py.File(path, "r") as file:
@@ -32,14 +33,14 @@ def read(path: Path) -> Raw:
     return with_arrays(path, arrays)
 
 
-def _dataset(path: Path, name: str) -> np.ndarray:
+def _dataset(path: Path, link: str | bytes) -> np.ndarray:
     import h5py
 
     try:
         with h5py.File(path, "r") as file:
-            dataset: Any = file[name]
+            dataset: Any = file[link]
             packed = {"scale_factor", "add_offset"} & set(dataset.attrs)
-            values = dataset[()]
+            values, name = dataset[()], dataset.name
     except Exception as error:
         raise unreadable(path, "an HDF5 file", error) from None
     if packed:
