@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
     from ._loadtest import LoadTest, read_load_test
+    from ._meanforce import mean_force_fit
+    from ._meanresult import Coefficient, CutMeans, MeanForceFit
     from ._measured import TraceError
     from ._parameters import Parameter
     from ._result import STATUS, Estimate, FitResult, TraceFit
@@ -16,10 +18,13 @@ if TYPE_CHECKING:
 __all__ = [
     "STATUS",
     "Check",
+    "Coefficient",
+    "CutMeans",
     "Estimate",
     "FitProblem",
     "FitResult",
     "LoadTest",
+    "MeanForceFit",
     "Parameter",
     "Progress",
     "Prospect",
@@ -29,6 +34,7 @@ __all__ = [
     "check",
     "fit",
     "load_fit",
+    "mean_force_fit",
     "read_load_test",
     "read_trace",
 ]
@@ -38,6 +44,8 @@ _HOMES = {
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),
     "_loadtest": ("LoadTest", "read_load_test"),
+    "_meanforce": ("mean_force_fit",),
+    "_meanresult": ("Coefficient", "CutMeans", "MeanForceFit"),
     "_measured": ("TraceError",),
     "_parameters": ("Parameter",),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
