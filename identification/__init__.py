@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
     from ._loadtest import LoadTest, read_load_test
+    from ._meanforce import mean_force_fit
+    from ._meanresult import Coefficient, CutMeans, MeanForceFit
     from ._measured import TraceError
     from ._parameters import Parameter, Prior, Tie
     from ._quality import Finding, quality
@@ -18,11 +20,14 @@ if TYPE_CHECKING:
 __all__ = [
     "STATUS",
     "Check",
+    "Coefficient",
+    "CutMeans",
     "Estimate",
     "Finding",
     "FitProblem",
     "FitResult",
     "LoadTest",
+    "MeanForceFit",
     "Parameter",
     "Prior",
     "Progress",
@@ -35,6 +40,7 @@ __all__ = [
     "check",
     "fit",
     "load_fit",
+    "mean_force_fit",
     "quality",
     "read_load_test",
     "read_trace",
@@ -46,6 +52,8 @@ _HOMES = {
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),
     "_loadtest": ("LoadTest", "read_load_test"),
+    "_meanforce": ("mean_force_fit",),
+    "_meanresult": ("Coefficient", "CutMeans", "MeanForceFit"),
     "_measured": ("TraceError",),
     "_parameters": ("Parameter", "Prior", "Tie"),
     "_quality": ("Finding", "quality"),

@@ -100,11 +100,7 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
             )
     tooth_period = float(case.cut.tooth_period(case.tool))
     step = tooth_period / case.settings.steps_per_tooth
-    if trace.step > tooth_period / PER_TOOTH * (1 + 1e-9):
-        raise TraceError(
-            f"{trace.name}: sampled every {trace.step:.4g} s, {tooth_period / trace.step:.2g} times per tooth period "
-            f"({tooth_period:.4g} s); at least {PER_TOOTH} are needed. Are spindle speed and unit of time right?"
-        )
+    resolves_teeth(trace, tooth_period)
     length = len(trace.time) * trace.step
     if length < PERIODS * tooth_period * (1 - 1e-9):
         raise TraceError(
@@ -130,6 +126,15 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
     aligned = not instrument and "cut.spindle_speed" not in free_names and np.abs(position - nearest).max() <= UNEVEN
     taken = (int(nearest[0]), int(nearest[-1]) + 1, int(nearest[1] - nearest[0])) if aligned else None
     return Comparison(jnp.asarray(trace.time), jnp.asarray(trace.values.T), band, taken, trace.channels)
+
+
+def resolves_teeth(trace: Trace, tooth_period: float) -> None:
+    """Raise `TraceError` for a trace sampled too coarsely for the force of a tooth."""
+    if trace.step > tooth_period / PER_TOOTH * (1 + 1e-9):
+        raise TraceError(
+            f"{trace.name}: sampled every {trace.step:.4g} s, {tooth_period / trace.step:.2g} times per tooth period "
+            f"({tooth_period:.4g} s); at least {PER_TOOTH} are needed. Are spindle speed and unit of time right?"
+        )
 
 
 def _position(time, model_time):
