@@ -6,14 +6,13 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import tomlkit
 from rich.table import Table
 
-from millax import CaseError, Settings
-from millax._names import value_of
+from millax import CaseError
 
 from ._fit import Progress, fit
 from ._fitfile import FitProblem, load_fit
+from ._fitted import fitted_text
 from ._measured import TraceError
 from ._output import complain, console, staged
 from ._report import write_report
@@ -45,22 +44,11 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: 
             # One from an earlier run would not belong to this result.
             (Path(out_dir) / "fitted.toml").unlink(missing_ok=True)
         else:
-            estimates = {e.name: value_of(result.case, e.name) for e in result.parameters}
-            text = problem.file.with_values(estimates)
-            if result.case.settings.sweeps != problem.cases[0].settings.sweeps:
-                text = _with_numerics(text, result.case.settings)
-            (folder / "fitted.toml").write_text(text, encoding="utf-8")
+            (folder / "fitted.toml").write_text(fitted_text(problem, result), encoding="utf-8")
         names = ", ".join(sorted(file.name for file in folder.iterdir()))
     _show(result)
     console.print(f"{out_dir}: {names}", markup=False)
     return _EXIT.get(result.status, 1)
-
-
-def _with_numerics(text: str, settings: Settings) -> str:
-    """A case file in which blocks and sweeps are those that the fit needed: it must simulate as it is."""
-    document = tomlkit.parse(text)
-    document["simulation"].update({"blocks": settings.blocks, "sweeps": settings.sweeps})
-    return tomlkit.dumps(document)
 
 
 def _fit(problem: FitProblem, check: bool) -> FitResult:

@@ -69,9 +69,10 @@ def _pictures(fit: TraceFit, tooth_period: float) -> dict[str, str]:
 def _row(result: FitResult, i: int, truth: dict[str, float]) -> dict[str, Any]:
     """One parameter for the table. Deviations and the ends of the interval are in standard errors from the estimate."""
     e = result.parameters[i]
-    si = value_of(result.case, e.name)
-    # The truth in the estimate's unit; a unit has no offset, so a ratio is enough.
-    true = truth[e.name] * (e.value / si) if e.name in truth and si != 0 else None
+    true = None
+    if e.name in truth and (si := value_of(result.case, e.name)) != 0:
+        # In the estimate's unit; a unit has no offset, so a ratio is enough.
+        true = truth[e.name] * (e.value / si)
     deviation = (e.value - true) / e.std if true is not None and e.std else None
     return {
         "name": e.name,

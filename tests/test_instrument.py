@@ -1,15 +1,18 @@
 """Traces of an instrument: through a sensor, by a clock of its own; what a file says of both, and what a fit finds."""
 
 import dataclasses
+import json
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import SLOT_FILE, slot
 
 import millax as mx
-from identification import Parameter, Trace, TraceError, align, fit
+from identification import Parameter, Trace, TraceError, align, fit, load_fit
 from identification._compare import compare
+from identification.cli import main
 from millax._names import quantity_of, replace, valid_names, value_of
 
 RATE = 10e3
@@ -112,8 +115,9 @@ def test_a_case_file_says_what_measured(tmp_path):
     (tmp_path / "case.toml").write_text(FILE, encoding="utf-8")
     file = mx.CaseFile.read(tmp_path / "case.toml")
     for found, expected in ((file.case.sensor, SENSOR), (file.case.clock, CLOCK)):
-        for name, a, b in zip("abcdefgh", *map(leaves, (found, expected)), strict=False):
-            np.testing.assert_allclose(a, b, rtol=1e-12, err_msg=name)
+        assert jax.tree.structure(found) == jax.tree.structure(expected)
+        for a, b in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12)
     names = valid_names(file.case)
     assert {"sensor.gain.y", "sensor.delay", "sensor.low_pass.cutoff", "clock.start"} <= set(names)
     assert "sensor.resonances.damping_ratio.mode_2" in names
@@ -128,10 +132,86 @@ def test_a_case_file_says_what_measured(tmp_path):
     assert "[0, 0, 0.25]" in other.with_values({"sensor.resonances.residue.mode_2.z.z": 0.25})
 
 
-def leaves(part):
-    import jax
+QUESTION = """
+[fit.free]
+force.k0 = { guess = "4 kN/mm^2", prior = { mean = "5 kN/mm^2", factor = 2 } }
+force.hs = "25 um"
+tool.runout.1 = "-6 um"
+tool.runout.3 = { tie = "tool.runout.1", factor = -0.5 }
+sensor.bias.x = { guess = "0 N", each = true }
+clock.start = { each = true }
+clock.speed_error = { each = true }
+[[trace]]
+file = "slow.csv"
+align = true
+noise = { Fx = "1 N", Fy = "1 N" }
+[[trace]]
+file = "fast.csv"
+align = true
+noise = { Fx = "1 N", Fy = "1 N" }
+case = { cut.feed_rate = "6 m/min", sensor = { bias = [0, "-9 N", 0] } }
+"""
 
-    return jax.tree.leaves(part)
+
+def test_traces_with_clocks_and_offsets_of_their_own_are_fitted_and_written_back(tmp_path):
+    text = FILE.replace("teeth = 4  # carbide", 'teeth = 4\nrunout = ["0 um", "-8 um", "2 um", "4 um"]')
+    text = text.replace('duration = "20 ms"', 'duration = "0.12 s"').replace('start = "21.7 ms"', 'start = "20 ms"')
+    true, biases = [], (12.0, 5.0)
+    for name, feed, start, error, bias in (("slow", 4, 0.0217, 8e-5, (12, -7, 0)), ("fast", 6, 0.0241, -5e-5, (5, -9, 0))):
+        case = mx.CaseFile.from_text(text.replace('"4 m/min"', f'"{feed} m/min"')).case
+        case = dataclasses.replace(
+            case, clock=mx.Clock(start, error), sensor=dataclasses.replace(case.sensor, bias=np.array(bias, dtype=float))
+        )
+        trace = recorded(case, 0.09, seed=feed)
+        rows = [f"{t:.6f},{x:.9g},{y:.9g}" for t, (x, y) in zip(trace.time, trace.values, strict=True)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time [s],Fx [N],Fy [N]", *rows]) + "\n", encoding="utf-8")
+        true.append((start, error))
+    (tmp_path / "case.toml").write_text(text + QUESTION, encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["fit", str(tmp_path / "case.toml"), "--out", str(out)]) == 0
+    found = {e["name"]: e for e in json.loads((out / "result.json").read_text(encoding="utf-8"))["parameters"]}
+    truth = {"force.k0": 5.0, "force.hs": 18.0, "tool.runout.1": -8.0}
+    for i, ((start, error), bias) in enumerate(zip(true, biases, strict=True), 1):
+        truth |= {
+            f"clock.start.trace_{i}": start * 1e3,
+            f"clock.speed_error.trace_{i}": error,
+            f"sensor.bias.x.trace_{i}": bias,
+        }
+    assert found.keys() == truth.keys()
+    for name, value in truth.items():
+        assert abs(found[name]["value"] - value) < 4 * found[name]["std"], name
+    (out / "slow.csv").write_bytes((tmp_path / "slow.csv").read_bytes())
+    (out / "fast.csv").write_bytes((tmp_path / "fast.csv").read_bytes())
+    again = load_fit(out / "fitted.toml")
+    for i, case in enumerate(again.cases, 1):
+        assert float(case.clock.start) == pytest.approx(found[f"clock.start.trace_{i}"]["value"] / 1e3, rel=1e-9)
+        assert float(case.sensor.bias[0]) == pytest.approx(found[f"sensor.bias.x.trace_{i}"]["value"], rel=1e-9)
+        assert float(case.sensor.bias[1]) == (-7, -9)[i - 1]
+        assert float(case.tool.runout[3]) == pytest.approx(-0.5 * float(case.tool.runout[1]), rel=1e-9)
+    assert float(again.cases[1].cut.feed_rate) == pytest.approx(0.1)
+    assert "align" not in (out / "fitted.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('guess = "0 N", each = true', "each = 1", "each of sensor.bias.x: 1 given; it must be true or false"),
+        ("factor = 2 }", "factor = 0.5 }", "prior of force.k0: factor 0.5 given; it must be greater than 1"),
+        ('{ mean = "5 kN/mm^2", factor = 2 }', "5", "prior of force.k0: 5 given; it must be a table"),
+        ('mean = "5 kN/mm^2", factor', "median = 5, factor", "prior of force.k0"),
+        ('tie = "tool.runout.1"', 'tie = "tool.runout.2"', "tool.runout.3: tied to tool.runout.2, which is not free"),
+        ("factor = -0.5", 'factor = "-0.5"', "factor of tool.runout.3"),
+        ("factor = -0.5", "guess = 1", "unknown key guess"),
+        ("align = true", 'align = "yes"', "it must be true or false"),
+    ],
+)
+def test_what_a_question_cannot_be_is_refused_in_words(tmp_path, old, new, words):
+    text = FILE.replace("teeth = 4  # carbide", 'teeth = 4\nrunout = ["0 um", "-8 um", "2 um", "4 um"]')
+    assert old in QUESTION
+    (tmp_path / "case.toml").write_text(text + QUESTION.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(mx.CaseError) as refused:
+        load_fit(tmp_path / "case.toml")
+    assert words in str(refused.value)
 
 
 @pytest.mark.parametrize(
