@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ._parameters import Parameter, Prior, Tie
     from ._quality import Finding, quality
     from ._result import STATUS, Estimate, FitResult, TraceFit
+    from ._synthetic import synthetic_trace
     from ._traces import Trace, read_trace
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "quality",
     "read_load_test",
     "read_trace",
+    "synthetic_trace",
 ]
 
 _HOMES = {
@@ -58,6 +60,7 @@ _HOMES = {
     "_parameters": ("Parameter", "Prior", "Tie"),
     "_quality": ("Finding", "quality"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
+    "_synthetic": ("synthetic_trace",),
     "_traces": ("Trace", "read_trace"),
 }
 

@@ -10,7 +10,7 @@ import pytest
 from cases import SLOT_FILE, slot
 
 import millax as mx
-from identification import Parameter, Trace, TraceError, align, fit, load_fit
+from identification import Parameter, Trace, TraceError, align, fit, load_fit, synthetic_trace
 from identification._compare import compare
 from identification.cli import main
 from millax._names import quantity_of, replace, valid_names, value_of
@@ -32,9 +32,7 @@ CASE = dataclasses.replace(RIGID, tool=TOOL, sensor=SENSOR, clock=CLOCK)
 def recorded(case: mx.Case, length=0.2, seed=0, sigma=1.0) -> Trace:
     """What the instrument of a case would record at its own rate: time stamps from 3 s on."""
     time = 3.0 + np.arange(round(length * RATE)) / RATE
-    blank = Trace(time, ("Fx", "Fy"), np.ones((len(time), 2)), {"Fx": sigma, "Fy": sigma})
-    values = np.asarray(compare(blank, case).predict(mx.simulate(case), case)).T
-    return dataclasses.replace(blank, values=values + np.random.default_rng(seed).normal(scale=sigma, size=values.shape))
+    return synthetic_trace(case, time, ("Fx", "Fy"), {"Fx": sigma, "Fy": sigma}, seed)
 
 
 TRACE = recorded(CASE)
@@ -46,6 +44,18 @@ def test_the_trace_is_what_a_finer_simulation_shows():
     found = compare(TRACE, CASE).predict(mx.simulate(CASE), CASE)
     expected = compare(TRACE, fine).predict(mx.simulate(fine), fine)
     np.testing.assert_allclose(found, expected, atol=0.01 * float(jnp.abs(expected).max()))
+
+
+def test_a_synthetic_trace_is_the_model_and_noise_that_can_be_made_again():
+    time = 3.0 + np.arange(500) / RATE
+    clean = synthetic_trace(CASE, time, ("Fy", "Fx"))
+    noisy, again = (synthetic_trace(CASE, time, ("Fy", "Fx"), {"Fx": 3.0}, 7) for _ in range(2))
+    np.testing.assert_array_equal(noisy.values, again.values)
+    np.testing.assert_array_equal(noisy.values[:, 0], clean.values[:, 0])
+    assert np.std(noisy.values[:, 1] - clean.values[:, 1]) == pytest.approx(3.0, rel=0.1)
+    assert (noisy.noise, clean.noise) == ({"Fx": 3.0}, {})
+    with pytest.raises(ValueError, match="noise needs one"):
+        synthetic_trace(CASE, time, ("Fx",), {"Fx": 1.0})
 
 
 def test_the_clock_and_the_delay_shift_the_model():

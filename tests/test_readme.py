@@ -6,10 +6,11 @@ import re
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import millax as mx
-from identification import load_fit
+from identification import Parameter, load_fit, synthetic_trace
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -47,8 +48,26 @@ def test_the_tables_of_a_fit_are_accepted(tmp_path):
     assert {p.name for p in problem.parameters} == {"force.k0", "force.kr", "structure.damping_ratio.x"}
 
 
+def test_what_measured_a_trace_can_be_said_and_be_free(tmp_path):
+    case, _, instrument, *_ = blocks("toml")
+    path = tmp_path / "case.toml"
+    path.write_text(case + instrument, encoding="utf-8")
+    file = mx.CaseFile.read(path)
+    time = 5.0 + np.arange(2000) / 10e3
+    trace = synthetic_trace(file.case.with_settings(periods=200), time, ("Fx", "Fy"), {"Fx": 1.0}, 0)
+    rows = [f"{t:.4f},{x:.9g},{y:.9g}" for t, (x, y) in zip(time, trace.values, strict=True)]
+    (tmp_path / "slot.csv").write_text("\n".join(["time [s],Fx [N],Fy [N]", *rows]), encoding="utf-8")
+    problem = load_fit(path)
+    assert [p.name for p in problem.parameters if isinstance(p, Parameter) and p.each] == [
+        "clock.start",
+        "clock.speed_error",
+        "sensor.bias.x",
+    ]
+    assert 0.02 <= float(problem.cases[0].clock.start) < 0.026
+
+
 def test_a_robot_takes_the_place_of_the_structure_and_has_poses(tmp_path):
-    case, _, robot, poses, load_test = blocks("toml")
+    case, _, _, robot, poses, load_test = blocks("toml")
     other = re.sub(r"\[structure\].*?(?=\[simulation\])", lambda _: robot, case, flags=re.DOTALL)
     rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
     for name in ("pose1.csv", "pose2.csv"):
