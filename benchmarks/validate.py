@@ -21,6 +21,7 @@ SUBJECTS = {
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
     "compliances": "Recovering joint compliances",
+    "instrument": "Traces of an instrument",
     "stability": "Limits of stability",
     "robot": "The robot at the tool",
     "programs": "Programs",

@@ -10,13 +10,16 @@ from rich.table import Table
 
 from millax import CaseError
 
+from ._check_command import show_findings
 from ._fit import Progress, fit
 from ._fitfile import FitProblem, load_fit
 from ._fitted import fitted_text
 from ._measured import TraceError
 from ._output import complain, console, staged
+from ._quality import quality
 from ._report import write_report
 from ._result import FitResult
+from ._traces import Trace
 from ._words import interval, with_error
 
 _EXIT = {"converged": 0, "interrupted": 130}
@@ -35,6 +38,7 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: 
     except (CaseError, TraceError) as error:
         complain(str(error))
         return 2
+    show_findings([finding for one in problem.traces if isinstance(one, Trace) for finding in quality(one)])
     with staged(out_dir) as folder:
         result = _fit(problem, check)
         text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False)

@@ -44,15 +44,26 @@ class Check:
 
     - `parameters`: what is to be expected of each.
     - `correlation`: of the estimates, shape (n, n); NaN where there will be none.
+    - `condition`: of the Jacobian whose columns are scaled to length 1: 1 where parameters have nothing in common. It is the
+      square root of that of the scaled Fisher information.
     """
 
     parameters: tuple[Prospect, ...]
     correlation: Float[np.ndarray, "n n"]
+    condition: float
 
     @property
     def identifiable(self) -> bool:
         """Whether every parameter is."""
         return all(parameter.reason is None for parameter in self.parameters)
+
+    def pairs(self, least: float) -> list[tuple[str, str, float]]:
+        """Pairs of parameters whose estimates have at least this correlation, up or down; the strongest first."""
+        names = [parameter.name for parameter in self.parameters]
+        first, second = np.triu_indices(len(names), 1)
+        every = zip(first, second, self.correlation[first, second], strict=True)
+        strong = [(names[i], names[j], float(c)) for i, j, c in every if abs(c) >= least]
+        return sorted(strong, key=lambda pair: -abs(pair[2]))
 
     @property
     def message(self) -> str:
@@ -100,9 +111,13 @@ def checked(asked: Question, evaluation: Evaluation) -> Check:
     """The `Check` of an evaluation at the guess."""
     numbers = asked.numbers
     sigma = np.where(np.isnan(asked.noise), ASSUMED * asked.size, asked.noise)
-    known = uncertainty(numbers, np.zeros(len(numbers)), evaluation.whitened(sigma)[:, :-1])
+    jacobian = evaluation.whitened(sigma)[:, :-1]
+    known = uncertainty(numbers, np.zeros(len(numbers)), jacobian)
     prospects = tuple(_prospect(asked, known, i) for i in range(len(numbers)))
-    return Check(prospects, known.correlation)
+    length = np.linalg.norm(jacobian, axis=0)
+    # A parameter that nothing depends on has no direction: as far from the others as can be counted.
+    s = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0), compute_uv=False)
+    return Check(prospects, known.correlation, float(s[0] / s[-1]) if s[-1] > 0 else np.inf)
 
 
 def _prospect(asked: Question, known: Uncertainty, i: int) -> Prospect:

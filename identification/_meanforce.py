@@ -55,7 +55,7 @@ def mean_force_fit(cases: Case | Sequence[Case], traces: Trace | Sequence[Trace]
       differ in all of them; to tell cutting from edge forces, they should in feed.
     - `traces`: the trace of each cut, with some of Fx, Fy, Fz on the tool [N]; other channels do not count. Of each, the
       whole turns in steady cutting are used, when no border across the feed is in reach. Times count from the start of
-      the cut.
+      the cut, where the case has no clock.
 
     Returns a `MeanForceFit`, also where some coefficients cannot be known: these say why, and have no number.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from millax._units import parse
 
-from ._formats._raw import Clock
+from ._formats._raw import EvenTimes
 from ._measured import TraceError
 
 UNEVEN = 0.05
@@ -51,7 +51,7 @@ def resampled(name: str, time: np.ndarray, values: np.ndarray, place: Callable[[
     return grid, np.stack([np.interp(grid, time, channel) for channel in values.T], axis=1)
 
 
-def stated_times(name: str, clocks: Mapping[str, Clock | None], rate: float | str | None, count: int) -> np.ndarray:
+def stated_times(name: str, clocks: Mapping[str, EvenTimes | None], rate: float | str | None, count: int) -> np.ndarray:
     """Times [s] of a file without a column of them, from what it states for its columns or from the sampling `rate`.
     Raises `TraceError` where there is neither, or both, or columns differ."""
     (first, clock), *others = clocks.items()
@@ -71,7 +71,7 @@ def stated_times(name: str, clocks: Mapping[str, Clock | None], rate: float | st
         frequency = float(parse(f"{name}: rate", rate, "Hz"))
         if not frequency > 0:
             raise TraceError(f"{name}: rate = {rate!r} given; it must be greater than 0")
-        clock = Clock(0.0, 1 / frequency)
+        clock = EvenTimes(0.0, 1 / frequency)
     assert clock
     if not (np.isfinite([clock.start, clock.step]).all() and clock.step > 0):
         raise TraceError(f"{name}: the file states a start of {clock.start:g} s and a step of {clock.step:g} s")

@@ -11,7 +11,7 @@ import numpy as np
 from millax._units import UnitError, parse
 
 from ._formats import read_raw
-from ._formats._raw import Clock, Raw, RawColumn, listed, shown, split_label
+from ._formats._raw import EvenTimes, Raw, RawColumn, listed, shown, split_label
 from ._measured import TraceError, check_finite, known_channel
 
 
@@ -82,7 +82,7 @@ class Table:
     numbers: np.ndarray
     lines: np.ndarray
     row: str
-    clocks: Mapping[str, Clock | None]
+    clocks: Mapping[str, EvenTimes | None]
 
     @property
     def names(self) -> tuple[str, ...]:

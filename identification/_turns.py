@@ -47,15 +47,16 @@ def turn_means(trace: Trace, case: Case, within: Steady) -> TurnMeans:
         raise TraceError(f"{trace.name}: no force among its channels, {', '.join(trace.channels)}; give some of Fx, Fy, Fz")
     resolves_teeth(trace, float(case.cut.tooth_period(case.tool)))
     turn = 2 * math.pi / float(case.cut.spindle_speed)
+    first = trace.time[0] if case.clock is None else float(case.clock.start)
     # A sample stands for the step around it, so that a turn need not be a whole number of samples.
-    ends = trace.time[0] + (np.arange(trace.samples + 1) - 0.5) * trace.step
+    ends = first + (np.arange(trace.samples + 1) - 0.5) * trace.step
     begin, end = max(ends[0], within.begin), min(ends[-1], within.end)
     length = max((end - begin) / turn, 0.0)
     turns = math.floor(length + ROUNDING)
     if turns < FEWEST_TURNS:
         raise TraceError(
             f"{trace.name}: {length:.3g} turns of the spindle ({turn:.4g} s each) in steady cutting; at least "
-            f"{FEWEST_TURNS} are needed. The trace reaches from {trace.time[0]:.4g} s to {trace.time[-1]:.4g} s, steady "
+            f"{FEWEST_TURNS} are needed. The trace reaches from {ends[0]:.4g} s to {ends[-1]:.4g} s, steady "
             f"cutting from {within.begin:.4g} s to {within.end:.4g} s. Give a longer trace, or "
             "the right time, spindle speed and stock"
         )

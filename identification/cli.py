@@ -68,6 +68,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.set_defaults(run=_fit)
 
+    check = commands.add_parser(
+        "check",
+        help="can the measurements say what is asked?",
+        description="Before a fit: what may be wrong with the traces of a case file, which of the numbers in its [fit] "
+        "table they can determine, and how well. Exit code 1 where something is wrong or cannot be known.",
+    )
+    check.add_argument("case", metavar="CASE.toml", help="the case file")
+    check.set_defaults(run=_check)
+
     sweep = commands.add_parser(
         "sweep",
         help="simulate a cut many times with other numbers",
@@ -174,6 +183,12 @@ def _robot(arguments: argparse.Namespace) -> int:
     from ._robot_command import run_robot
 
     return run_robot(arguments.case, arguments.out, maps=arguments.map)
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from ._check_command import run_check
+
+    return run_check(arguments.case)
 
 
 def _fit(arguments: argparse.Namespace) -> int:

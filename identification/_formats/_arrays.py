@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .._measured import TraceError
-from ._raw import Clock, Raw, RawColumn, shown, split_label
+from ._raw import EvenTimes, Raw, RawColumn, shown, split_label
 
 WIDEST = 64
 """Most channels in one array; beyond it is a picture, a matrix or a file that is broken."""
@@ -26,7 +26,7 @@ class Array:
     shape: tuple[int, ...]
     read: Callable[[], np.ndarray]
     unit: str | None = None
-    clock: Clock | None = None
+    clock: EvenTimes | None = None
 
     @property
     def channels(self) -> int:

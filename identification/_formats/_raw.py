@@ -14,7 +14,7 @@ LONGEST = 60
 
 
 @dataclass(frozen=True)
-class Clock:
+class EvenTimes:
     """Even times that a file states instead of listing them: start [s], step [s], and what the start is counted from."""
 
     start: float
@@ -38,7 +38,7 @@ class RawColumn:
     name: str
     unit: str | None
     label: str
-    clock: Clock | None = None
+    clock: EvenTimes | None = None
 
     @property
     def last(self) -> str:

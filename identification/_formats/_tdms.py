@@ -10,7 +10,7 @@ import numpy as np
 
 from .._measured import TraceError
 from ._arrays import Array, unreadable, with_arrays
-from ._raw import Clock, Raw
+from ._raw import EvenTimes, Raw
 
 
 def read(path: Path) -> Raw:
@@ -35,11 +35,11 @@ def read(path: Path) -> Raw:
     return with_arrays(path, arrays)
 
 
-def _clock(properties: Mapping[str, Any]) -> Clock | None:
+def _clock(properties: Mapping[str, Any]) -> EvenTimes | None:
     if "wf_increment" not in properties:
         return None
     start, step = float(properties.get("wf_start_offset", 0)), float(properties["wf_increment"])
-    return Clock(start, step, properties.get("wf_start_time"))
+    return EvenTimes(start, step, properties.get("wf_start_time"))
 
 
 def _channel(path: Path, group: str, channel: str) -> np.ndarray:
