@@ -118,8 +118,10 @@ def _library(name: str, sizes: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
     source = Path(__file__).with_name(name)
     library = Path(_FOLDER.name) / f"{source.stem}-{'-'.join(str(size) for _, size in sizes)}.so"
     defined = [f"-D{key}={size}" for key, size in sizes]
-    command = ["gcc", *FLAGS, *defined, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
-    subprocess.run(command, check=True)
+    compiled = library.with_suffix(".o")
+    subprocess.run(["gcc", *FLAGS, *defined, "-c", "-fPIC", str(source), "-o", str(compiled)], check=True)
+    # Linked without -ffast-math, with which the library would take subnormal numbers from the whole process that loads it.
+    subprocess.run(["gcc", "-shared", str(compiled), "-o", str(library), "-lm"], check=True)
     return ctypes.CDLL(str(library))
 
 

@@ -44,7 +44,8 @@ def _flat(table: str, given: Any, known: Collection[str], prefix: str = "") -> I
         raise ValueError(f"{table}: {show(given)} given; it must be a table, [{table}]")
     for key, value in given.items():
         name = f"{prefix}{key}"
-        if isinstance(value, Mapping) and name not in known and not set(value) & (set(_FREE) | set(_TIED)):
+        # An empty table is a free number, known or not, and no table of others.
+        if isinstance(value, Mapping) and value and name not in known and not set(value) & {*_FREE, *_TIED}:
             yield from _flat(table, value, known, f"{name}.")
         else:
             yield name, value

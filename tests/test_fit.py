@@ -175,6 +175,7 @@ def test_what_a_check_expects_is_what_a_fit_finds(rigid_trace):
     np.testing.assert_allclose(known.correlation, found.correlation, atol=1e-6)
 
 
+@pytest.mark.long
 def test_traces_of_several_cuts_are_fitted_as_one(rigid_trace):
     rng = np.random.default_rng(3)
     feeds = [eqx.tree_at(lambda c: c.cut.feed_rate, RIGID, RIGID.cut.feed_rate * f) for f in (0.5, 1.0, 1.5)]

@@ -108,6 +108,7 @@ def test_a_fit_writes_what_was_found(make, tmp_path, capsys):
     assert "converged: All 2 parameters found." in printed
 
 
+@pytest.mark.long
 def test_the_fitted_case_has_the_sweeps_that_the_fit_needed(make, tmp_path):
     structure = '[structure]\naxes = ["x"]\nmass = "100 kg"\nstiffness = "1e8 N/m"\ndamping_ratio = 0.05\n'
     case = make([("[simulation]\n", f"{structure}[simulation]\nsweeps = 1   # too few\n")])

@@ -90,6 +90,7 @@ def test_every_law_both_routes(law):
             assert float(difference) == pytest.approx(float(getattr(gradient, name)), rel=1e-5)
 
 
+@pytest.mark.long
 def test_simulations_in_several_stretches_have_the_same_derivatives(monkeypatch):
     # 20 periods in stretches of at most 7: the reverse derivative starts from a checkpoint in each.
     case = slot(duration=0.03, steps_per_tooth=20, sweeps=3)
@@ -114,6 +115,7 @@ def test_simulations_in_several_stretches_have_the_same_derivatives(monkeypatch)
     assert np.allclose(backward, weights @ forward, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_second_derivatives_are_those_of_the_gradient():
     # Of a weighted sum of all traces.
     case = slot(duration=0.0045, steps_per_tooth=20, sweeps=6, stock=ENDLESS)
@@ -135,7 +137,7 @@ def test_second_derivatives_are_those_of_the_gradient():
     ("stock", "axes"),
     [
         (mx.Stock.box((0, None), (-2e-3, 5e-3)), ()),
-        (mx.Stock.box((0, None), (-2e-3, 5e-3)), ("x", "y")),
+        pytest.param(mx.Stock.box((0, None), (-2e-3, 5e-3)), ("x", "y"), marks=pytest.mark.long),
         (ENDLESS, ("x", "y")),
     ],
     ids=["rigid, borders", "2-DOF, borders", "2-DOF"],
@@ -162,6 +164,7 @@ def test_every_derivative_is_finite(stock, axes):
                 assert all(np.isfinite(leaf).all() for leaf in leaves), (feed, width, start)
 
 
+@pytest.mark.long
 def test_a_law_of_ones_own_with_an_array_of_coefficients():
     class Polynomial(mx.ForceLaw):
         coefficients: jax.Array

@@ -35,14 +35,16 @@ def recorded(case: mx.Case, length=0.2, seed=0, sigma=1.0) -> Trace:
     return synthetic_trace(case, time, ("Fx", "Fy"), {"Fx": sigma, "Fy": sigma}, seed)
 
 
-TRACE = recorded(CASE)
+@pytest.fixture(scope="module")
+def trace():
+    return recorded(CASE)
 
 
-def test_the_trace_is_what_a_finer_simulation_shows():
+def test_the_trace_is_what_a_finer_simulation_shows(trace):
     """The finer one has its own grid, and is read through the same sensor."""
     fine = CASE.with_settings(steps_per_tooth=320)
-    found = compare(TRACE, CASE).predict(mx.simulate(CASE), CASE)
-    expected = compare(TRACE, fine).predict(mx.simulate(fine), fine)
+    found = compare(trace, CASE).predict(mx.simulate(CASE), CASE)
+    expected = compare(trace, fine).predict(mx.simulate(fine), fine)
     np.testing.assert_allclose(found, expected, atol=0.01 * float(jnp.abs(expected).max()))
 
 
@@ -58,12 +60,12 @@ def test_a_synthetic_trace_is_the_model_and_noise_that_can_be_made_again():
         synthetic_trace(CASE, time, ("Fx",), {"Fx": 1.0})
 
 
-def test_the_clock_and_the_delay_shift_the_model():
-    time = TRACE.time - TRACE.time[0]
-    np.testing.assert_allclose(CLOCK(TRACE.time), 0.0217 + (1 + 8e-5) * time, rtol=1e-14)
+def test_the_clock_and_the_delay_shift_the_model(trace):
+    time = trace.time - trace.time[0]
+    np.testing.assert_allclose(CLOCK(trace.time), 0.0217 + (1 + 8e-5) * time, rtol=1e-14)
     sim = mx.simulate(CASE)
     later = dataclasses.replace(CASE, clock=mx.Clock(0.0217 - 30e-6, 8e-5), sensor=dataclasses.replace(SENSOR, delay=0.0))
-    one, other = (compare(TRACE, case).predict(sim, case) for case in (CASE, later))
+    one, other = (compare(trace, case).predict(sim, case) for case in (CASE, later))
     np.testing.assert_allclose(one, other, atol=1e-9 * float(jnp.abs(other).max()))
 
 
@@ -76,9 +78,9 @@ def guess(case: mx.Case) -> mx.Case:
     )
 
 
-def test_phase_and_speed_are_guessed_from_the_trace():
+def test_phase_and_speed_are_guessed_from_the_trace(trace):
     case = guess(CASE)
-    found = align(case, TRACE)
+    found = align(case, trace)
     turn = 4 * float(CASE.cut.tooth_period(TOOL))
     assert 0.02 <= float(found.start) < 0.02 + turn
     assert abs(float(found.start) - 0.0217) < 0.01 * turn
@@ -87,13 +89,13 @@ def test_phase_and_speed_are_guessed_from_the_trace():
     assert abs(float(align(case, recorded(slow)).speed_error) + 0.004) < 1e-4
 
 
-def test_a_fit_finds_coefficients_runout_sensor_and_clock():
+def test_a_fit_finds_coefficients_runout_sensor_and_clock(trace):
     case = guess(CASE)
-    case = dataclasses.replace(case, clock=align(case, TRACE))
+    case = dataclasses.replace(case, clock=align(case, trace))
     sensor = ["bias.x", "bias.y", "resonances.frequency.mode_1", "resonances.damping_ratio.mode_1"]
     names = ["force.k0", "force.hs", "tool.runout.1", "tool.runout.2", "clock.start", "clock.speed_error"]
     names += [f"sensor.{name}" for name in sensor]
-    result = fit(case, TRACE, [Parameter(name) for name in names])
+    result = fit(case, trace, [Parameter(name) for name in names])
     assert result.success, result.message
     errors = [(e.value - value_of(CASE, e.name)) / e.std for e in result.parameters]
     # Runout counts from a tooth that is not free: only differences from it are known.
@@ -251,19 +253,19 @@ def test_what_cannot_be_is_refused_in_words(old, new, words):
         ({"clock": mx.Clock(0.1)}, "of which the last 125 steps cannot be read. Raise simulation.duration"),
     ],
 )
-def test_a_trace_that_the_simulation_does_not_cover_is_refused(change, words):
+def test_a_trace_that_the_simulation_does_not_cover_is_refused(trace, change, words):
     with pytest.raises(TraceError) as error:
-        compare(TRACE, dataclasses.replace(CASE, **change))
+        compare(trace, dataclasses.replace(CASE, **change))
     assert words in str(error.value)
 
 
-def test_what_cannot_be_aligned_is_refused():
-    moved = Trace(TRACE.time, ("x",), TRACE.values[:, :1])
-    for trace, case, words in (
+def test_what_cannot_be_aligned_is_refused(trace):
+    moved = Trace(trace.time, ("x",), trace.values[:, :1])
+    for one, case, words in (
         (moved, CASE, "it has no force, which is what tells the phase of the spindle"),
         (recorded(CASE, 0.01), CASE, "1.7 turns of the spindle long; two at least are needed"),
-        (TRACE, dataclasses.replace(CASE, clock=mx.Clock(0.249)), "no whole turn of the spindle is simulated after"),
+        (trace, dataclasses.replace(CASE, clock=mx.Clock(0.249)), "no whole turn of the spindle is simulated after"),
     ):
         with pytest.raises(TraceError) as error:
-            align(case, trace)
+            align(case, one)
         assert words in str(error.value)

@@ -11,8 +11,8 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 
 
-LONG = ("02", "03", "04")
-"""Notebooks that take most of a minute each."""
+LONG = ("02", "03", "04", "05", "06", "07")
+"""Notebooks that take half a minute and more each."""
 
 
 def _marked(path: Path):

@@ -132,6 +132,7 @@ def test_process_damping_is_that_of_the_flanks_in_contact():
     assert float(mx.limit_depth(damped)) > 1.2 * float(mx.limit_depth(case))
 
 
+@pytest.mark.long
 def test_derivatives_of_the_limit_depth():
     case = lobes(immersion=0.5, speed=9000 * RPM)
     gradient = jax.grad(mx.limit_depth)(case)

@@ -172,6 +172,7 @@ def test_edge_forces_of_a_full_slot():
     assert np.allclose(mean, [x, y, z], rtol=6e-3)
 
 
+@pytest.mark.long
 def test_derivatives_of_the_tool_and_its_edges():
     def where(c):
         t, law = c.tool, c.force
