@@ -34,6 +34,7 @@ def off(result, truth):
     return np.array([(e.value - t) / e.std for e, t in zip(result.parameters, truth, strict=True)])
 
 
+@pytest.mark.long
 def test_every_trace_has_its_own_number():
     depths = np.array([0.9, 1.0, 1.2]) * float(CASE.cut.depth)
     cases = [eqx.tree_at(lambda c: c.cut.depth, case, depth) for case, depth in zip(CASES, depths, strict=True)]
@@ -58,6 +59,7 @@ def test_a_prior_pulls_as_one_more_measurement_of_the_number_does():
     assert known.std == pytest.approx(alone.std / np.sqrt(2), rel=1e-3)
 
 
+@pytest.mark.long
 def test_what_is_tied_follows():
     case = slot(stiffness=np.array([3e5, 4.5e5]), duration=0.02)
     sim = mx.simulate(case)
