@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from scipy.signal import welch
 from scipy.stats import norm
 
@@ -86,6 +87,7 @@ def residuals(fit: TraceFit, tooth_period: float) -> str:
             spectrum.axhline(sigma * np.sqrt(2 * trace.step) / scale, **_GUIDE)
             spectrum.axvline(1 / tooth_period, color=_MEASURED, linewidth=0.8)
             spectrum.set_ylabel(label.replace("]", "/√Hz]"))
+            spectrum.yaxis.set_minor_formatter(NullFormatter())  # else every tick of a decade has one
 
             histogram.hist(residual / sigma, bins=z[::4], density=True, color=colour, alpha=0.5)
             histogram.plot(z, norm.pdf(z), color=_DARK, linewidth=0.8)
