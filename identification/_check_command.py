@@ -6,7 +6,7 @@ from rich.table import Table
 
 from millax import CaseError
 
-from ._fitfile import load_fit
+from ._fitfile import FitProblem, load_fit
 from ._identifiability import Check, check
 from ._output import console
 from ._quality import Finding, quality
@@ -26,8 +26,7 @@ def run_check(case_path: str | os.PathLike) -> int:
     `CaseError` and `TraceError` for input that cannot be used, `SimulationError` where the simulation fails.
     """
     problem = load_fit(case_path)
-    findings = [finding for one in problem.traces if isinstance(one, Trace) for finding in quality(one)]
-    show_findings(findings)
+    findings = show_findings(problem)
     try:
         found = check(problem.cases, problem.traces, problem.parameters)
     except ValueError as error:
@@ -36,10 +35,12 @@ def run_check(case_path: str | os.PathLike) -> int:
     return 0 if found.identifiable and not findings else 1
 
 
-def show_findings(findings: list[Finding]) -> None:
-    """Print what may be wrong with the traces."""
+def show_findings(problem: FitProblem) -> list[Finding]:
+    """Print what may be wrong with the traces; returns it."""
+    findings = [finding for one in problem.traces if isinstance(one, Trace) for finding in quality(one)]
     for finding in findings:
         console.print(f"warning: {finding.words}", markup=False)
+    return findings
 
 
 def _show(found: Check) -> None:

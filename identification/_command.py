@@ -16,10 +16,8 @@ from ._fitfile import FitProblem, load_fit
 from ._fitted import fitted_text
 from ._measured import TraceError
 from ._output import complain, console, staged
-from ._quality import quality
 from ._report import write_report
 from ._result import FitResult
-from ._traces import Trace
 from ._words import interval, with_error
 
 _EXIT = {"converged": 0, "interrupted": 130}
@@ -38,7 +36,7 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: 
     except (CaseError, TraceError) as error:
         complain(str(error))
         return 2
-    show_findings([finding for one in problem.traces if isinstance(one, Trace) for finding in quality(one)])
+    show_findings(problem)
     with staged(out_dir) as folder:
         result = _fit(problem, check)
         text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False)

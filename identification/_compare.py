@@ -55,7 +55,7 @@ class Comparison(eqx.Module):
         )
         if self.taken is not None:
             return model[:, slice(*self.taken)]
-        time = self.time if case.clock is None else case.clock(self.time)
+        time = _simulated(self.time, case)
         if self.kernel is None:
             position = _position(time, sim.time)
             before = jnp.clip(jnp.floor(position), 0, len(sim.time) - 2).astype(int)
@@ -64,19 +64,18 @@ class Comparison(eqx.Module):
         if case.sensor is None:
             return resample(model, _position(time, sim.time), self.kernel)
         # Only forces go through the sensor, and are late by its delay.
-        late = [resample(model, _position(time - delay, sim.time), self.kernel) for delay in (0.0, case.sensor.delay)]
-        return jnp.where(np.array([channel in AXES for channel in self.channels])[:, None], *late)
+        moves = np.array([channel in AXES for channel in self.channels])
+        parts = [
+            resample(model[which], _position(time - delay, sim.time), self.kernel)
+            for which, delay in ((np.flatnonzero(moves), 0.0), (np.flatnonzero(~moves), case.sensor.delay))
+            if len(which)
+        ]
+        return jnp.concatenate(parts)[np.argsort(np.argsort(~moves, stable=True))]
 
     def covered(self, sim: Simulation, case: Case) -> Bool[Array, ""]:
         """Whether the simulation is long enough for the trace."""
-        time = self.time if case.clock is None else case.clock(self.time)
-        position = _position(time[jnp.array([0, -1])], sim.time)
-        return (position[0] >= -0.5 - UNEVEN) & (position[1] <= len(sim.time) - 0.5 - self._margin + UNEVEN)
-
-    @property
-    def _margin(self) -> int:
-        """Steps at the end of the simulation from which nothing can be read: it is not known what follows them."""
-        return 0 if self.kernel is None else self.kernel.shape[1] // 2
+        position = _position(_simulated(self.time, case)[jnp.array([0, -1])], sim.time)
+        return (position[0] >= -0.5 - UNEVEN) & (position[1] <= len(sim.time) - 0.5 - _margin(self.kernel) + UNEVEN)
 
 
 def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Comparison:
@@ -109,8 +108,7 @@ def compare(trace: Trace, case: Case, free_names: Collection[str] = ()) -> Compa
         )
     instrument = case.clock is not None or case.sensor is not None
     band = kernel(0.5 * step / trace.step) if instrument else None
-    margin = 0 if band is None else band.shape[1] // 2
-    time = trace.time if case.clock is None else np.asarray(case.clock(trace.time))
+    margin, time = _margin(band), np.asarray(_simulated(trace.time, case))
     position = _position(time, (np.arange(2) + 0.5) * step)
     if position[0] < -0.5 - UNEVEN:
         cure = "Choose a window, or say with [clock] what its first sample is" if case.clock is None else "Raise clock.start"
@@ -135,6 +133,16 @@ def resolves_teeth(trace: Trace, tooth_period: float) -> None:
             f"{trace.name}: sampled every {trace.step:.4g} s, {tooth_period / trace.step:.2g} times per tooth period "
             f"({tooth_period:.4g} s); at least {PER_TOOTH} are needed. Are spindle speed and unit of time right?"
         )
+
+
+def _simulated(time, case: Case):
+    """Times of the simulation for those of a trace."""
+    return time if case.clock is None else case.clock(time)
+
+
+def _margin(band: np.ndarray | Array | None) -> int:
+    """Steps at the end of the simulation from which nothing can be read by a kernel: it is not known what follows them."""
+    return 0 if band is None else band.shape[1] // 2
 
 
 def _position(time, model_time):

@@ -23,7 +23,8 @@ def fitted_text(problem: FitProblem, result: FitResult) -> str:
         document["simulation"].update({"blocks": settings.blocks, "sweeps": settings.sweeps})
     for (_, table), case in zip(measured_in(document), result.cases, strict=True):
         change = table["case"].unwrap() if "case" in table else {}
-        _put_own(problem, change, case, own)
+        if own:
+            _put_own(problem, change, case, own)
         if table.pop("align", False) and case.clock is not None:
             # The clock that was found, fitted afterwards or not.
             clock = {"start": f"{float(case.clock.start):.12g} s", "speed_error": float(case.clock.speed_error)}

@@ -80,10 +80,10 @@ class Tie:
 class Known(eqx.Module):
     """Priors in numbers: of which coordinates, centres and widths, of the logarithm where `log`."""
 
-    of: tuple[int, ...] = eqx.field(static=True, default=())
-    log: tuple[bool, ...] = eqx.field(static=True, default=())
-    centre: Float[Array, " k"] = eqx.field(converter=as_number, default=())
-    width: Float[Array, " k"] = eqx.field(converter=as_number, default=())
+    of: tuple[int, ...] = eqx.field(static=True)
+    log: tuple[bool, ...] = eqx.field(static=True)
+    centre: Float[Array, " k"] = eqx.field(converter=as_number)
+    width: Float[Array, " k"] = eqx.field(converter=as_number)
 
     def residuals(self, values: Float[Array, " n"]) -> Float[Array, " k"]:
         """By how many standard deviations the values are off."""

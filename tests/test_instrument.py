@@ -69,6 +69,17 @@ def test_the_clock_and_the_delay_shift_the_model(trace):
     np.testing.assert_allclose(one, other, atol=1e-9 * float(jnp.abs(other).max()))
 
 
+def test_forces_and_displacements_keep_their_order_and_only_forces_are_late():
+    case = dataclasses.replace(slot(duration=0.05), sensor=mx.Sensor(delay=1e-4), clock=mx.Clock(0.01))
+    time = np.arange(300) / RATE
+    mixed = synthetic_trace(case, time, ("Fy", "x", "Fx", "y"))
+    for channel, column in zip(mixed.channels, mixed.values.T, strict=True):
+        start = 0.01 - (1e-4 if channel.startswith("F") else 0.0)
+        alone = dataclasses.replace(case, sensor=None, clock=mx.Clock(start))
+        expected = synthetic_trace(alone, time, (channel,)).values[:, 0]
+        np.testing.assert_allclose(column, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
 def guess(case: mx.Case) -> mx.Case:
     """Without what a fit would have to find: clock and runout unknown, coefficients and resonances wrong."""
     wrong = {"force.k0": 3.5e9, "force.hs": 30e-6, "sensor.bias.x": 0.0, "sensor.bias.y": 0.0}
@@ -144,6 +155,7 @@ def test_a_case_file_says_what_measured(tmp_path):
     assert "[0, 0, 0.25]" in other.with_values({"sensor.resonances.residue.mode_2.z.z": 0.25})
 
 
+UNEQUAL = FILE.replace("teeth = 4  # carbide", 'teeth = 4\nrunout = ["0 um", "-8 um", "2 um", "4 um"]')
 QUESTION = """
 [fit.free]
 force.k0 = { guess = "4 kN/mm^2", prior = { mean = "5 kN/mm^2", factor = 2 } }
@@ -166,8 +178,7 @@ case = { cut.feed_rate = "6 m/min", sensor = { bias = [0, "-9 N", 0] } }
 
 
 def test_traces_with_clocks_and_offsets_of_their_own_are_fitted_and_written_back(tmp_path):
-    text = FILE.replace("teeth = 4  # carbide", 'teeth = 4\nrunout = ["0 um", "-8 um", "2 um", "4 um"]')
-    text = text.replace('duration = "20 ms"', 'duration = "0.12 s"').replace('start = "21.7 ms"', 'start = "20 ms"')
+    text = UNEQUAL.replace('duration = "20 ms"', 'duration = "0.12 s"').replace('start = "21.7 ms"', 'start = "20 ms"')
     true, biases = [], (12.0, 5.0)
     for name, feed, start, error, bias in (("slow", 4, 0.0217, 8e-5, (12, -7, 0)), ("fast", 6, 0.0241, -5e-5, (5, -9, 0))):
         case = mx.CaseFile.from_text(text.replace('"4 m/min"', f'"{feed} m/min"')).case
@@ -218,9 +229,8 @@ def test_traces_with_clocks_and_offsets_of_their_own_are_fitted_and_written_back
     ],
 )
 def test_what_a_question_cannot_be_is_refused_in_words(tmp_path, old, new, words):
-    text = FILE.replace("teeth = 4  # carbide", 'teeth = 4\nrunout = ["0 um", "-8 um", "2 um", "4 um"]')
     assert old in QUESTION
-    (tmp_path / "case.toml").write_text(text + QUESTION.replace(old, new, 1), encoding="utf-8")
+    (tmp_path / "case.toml").write_text(UNEQUAL + QUESTION.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(mx.CaseError) as refused:
         load_fit(tmp_path / "case.toml")
     assert words in str(refused.value)
