@@ -12,13 +12,16 @@ if TYPE_CHECKING:
     from ._meanforce import mean_force_fit
     from ._meanresult import Coefficient, CutMeans, MeanForceFit
     from ._measured import TraceError
+    from ._noise import NoiseModel
     from ._parameters import Parameter, Prior, Tie
     from ._quality import Finding, quality
     from ._result import STATUS, Estimate, FitResult, TraceFit
+    from ._solver import SOLVERS
     from ._synthetic import synthetic_trace
     from ._traces import Trace, read_trace
 
 __all__ = [
+    "SOLVERS",
     "STATUS",
     "Check",
     "Coefficient",
@@ -29,6 +32,7 @@ __all__ = [
     "FitResult",
     "LoadTest",
     "MeanForceFit",
+    "NoiseModel",
     "Parameter",
     "Prior",
     "Progress",
@@ -57,9 +61,11 @@ _HOMES = {
     "_meanforce": ("mean_force_fit",),
     "_meanresult": ("Coefficient", "CutMeans", "MeanForceFit"),
     "_measured": ("TraceError",),
+    "_noise": ("NoiseModel",),
     "_parameters": ("Parameter", "Prior", "Tie"),
     "_quality": ("Finding", "quality"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
+    "_solver": ("SOLVERS",),
     "_synthetic": ("synthetic_trace",),
     "_traces": ("Trace", "read_trace"),
 }

@@ -1,7 +1,6 @@
-"""Fitting parameters of a case to measurements: weighted least squares by Levenberg-Marquardt."""
+"""Fitting parameters of a case to measurements: maximum likelihood, as least squares of independent residuals."""
 
-import importlib.metadata
-import platform
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,13 +12,16 @@ from millax import Case
 from millax._gain import MOST_SWEEPS
 from millax._simulate import STATUS as SIMULATION_STATUS
 
+from ._colour import colour
 from ._evaluate import Evaluation, evaluate
 from ._identifiability import checked, not_finite
 from ._loadtest import LoadTest
-from ._parameters import FreeParameters, Parameter, Tie
+from ._noise import Noise, NoiseModel, reflections, student_scale
+from ._outcome import Optimum, outcome, verdict
+from ._parameters import Parameter, Tie
 from ._question import Question, question
-from ._result import STATUS, Estimate, FitResult, TraceFit
-from ._solver import Steps
+from ._result import STATUS, FitResult
+from ._solver import SOLVERS, Triangle
 from ._traces import Trace
 from ._uncertainty import RANK, Uncertainty, at_bounds, insensitive, none_known, uncertainty
 
@@ -29,14 +31,17 @@ CONVERGED = 1e-3
 STALLED = 0.1
 """Where the solver finds no better point, rounding allowed, this many standard errors still count as the optimum."""
 
+ROUNDING = 1e-12
+"""A cost that is higher by this part is the same one."""
+
 SWEEPS_MISSING = 1
 """The status of a simulation whose fixed-point sweeps have not converged."""
 
-NOISE_ROUNDS = 10
-"""Most rounds of estimating the noise; two or three are usual."""
+NOISE_ROUNDS = 20
+"""Most rounds of estimating the noise; two or three are usual, more with outliers."""
 
 NOISE_CHANGE = 1e-3
-"""Relative change of every estimated noise below which the rounds end."""
+"""Relative change of every estimated noise below which the rounds end; of a reflection coefficient the change itself."""
 
 NOISE_FLOOR = 1e-6
 """Smallest noise claimed, relative to the channel's root mean square: the simulation is not more accurate than this."""
@@ -49,7 +54,7 @@ MEASURE = (
 )
 """What to try then."""
 
-TRY = "Start from a better guess, give bounds, or free fewer parameters."
+TRY = "Start from a better guess or from several, give bounds, or free fewer parameters."
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,10 @@ def fit(
     measured: Trace | LoadTest | Sequence[Trace | LoadTest],
     parameters: Sequence[Parameter | Tie | str],
     *,
+    noise: NoiseModel | None = None,
+    solver: str = "optimistix_lm",
     check: bool = True,
-    max_iterations: int = 100,
+    max_iterations: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> FitResult:
     """Find the parameters with which the case is nearest to what was measured.
@@ -76,7 +83,11 @@ def fit(
     The sum over channels of ((measured - model)/sigma)² is made smallest, which is maximum likelihood for independent
     normal noise; terms of priors are added, which makes it the most probable point. Where the noise sigma of a channel is
     not known, it is estimated together with the parameters: fit and sigma = root mean square of the residuals, in turns
-    until nothing changes.
+    until nothing changes. Noise with outliers, and noise that is correlated in time, are said with `noise`, and the sum is
+    then that of their likelihood, see `_noise`.
+
+    What is left is looked at: where it is correlated in time, standard errors and intervals are widened for it, and the
+    message says so.
 
     **Arguments:**
 
@@ -85,17 +96,24 @@ def fit(
       Numbers that are not free are taken as they are.
     - `measured`: one `Trace` or `LoadTest`, or several in any order. Where there are only load tests, no cut is simulated.
     - `parameters`: `Parameter`s, or names of parameters to start from the case's own value; `Tie`s to them.
+    - `noise`: what kind of noise there is; None: normal and white.
+    - `solver`: one of `identification.SOLVERS`. All go to the same optimum; the first is the quickest.
     - `check`: whether a question to which the measurements have no answer at the guess, see `identification.check`, is not
       begun: the status then is "not_identifiable", and the message names the combinations that cannot be known.
-    - `max_iterations`: evaluations of model and Jacobian after which the fit gives up.
-    - `progress`: called with a `Progress` after every evaluation.
+    - `max_iterations`: evaluations of model and Jacobian after which the fit gives up. None: as many as suit the solver.
+    - `progress`: called with a `Progress` after every evaluation that is the best so far.
 
     Returns a `FitResult`, also where there is no good answer: look at `success`, `status` and `message`. Ctrl-C ends a
     fit with the best estimates so far.
 
-    Raises `ValueError` for parameters and measurements that cannot be used, and where JAX is not set to float64.
+    Raises `ValueError` for parameters and measurements that cannot be used, an unknown solver, and where JAX is not set to
+    float64.
     """
-    return _Fit(question(case, measured, parameters), check, max_iterations, progress or (lambda _: None)).run()
+    if solver not in SOLVERS:
+        raise ValueError(f"solver: {solver!r} given; it must be one of {', '.join(SOLVERS)}")
+    asked = question(case, measured, parameters)
+    most = SOLVERS[solver].evaluations if max_iterations is None else max_iterations
+    return _Fit(asked, noise or NoiseModel(), solver, check, most, progress or (lambda _: None)).run()
 
 
 class _Failed(Exception):
@@ -108,23 +126,30 @@ class _Failed(Exception):
         self.known = known
 
 
+class _AtOptimum(Exception):
+    """The point evaluated is the optimum: nothing is left to do for the solver."""
+
+
 class _Fit:
     """The state of a running fit: where it is best, and with which noise."""
 
-    def __init__(self, asked: Question, check: bool, max_iterations: int, progress: Callable[[Progress], None]):
+    def __init__(self, asked: Question, kind: NoiseModel, solver: str, check: bool, most: int, progress):
         self.asked = asked
-        self.cases = asked.cases
         self.numbers = asked.numbers
+        self.before = self.sweeps
+        self.kind = kind
+        self.solver = solver
         self.check = check
-        self.max_iterations = max_iterations
+        self.max_iterations = most
         self.progress = progress
         self.begin = time.perf_counter()
         self.iterations = 0
         self.y = np.zeros(len(asked.numbers))
         self.best: Evaluation | None = None
+        self.wall: str | None = None
         self.samples, self.size = asked.samples, asked.size
         self.estimated = np.isnan(asked.noise)
-        self.sigma = np.where(self.estimated, self.size, asked.noise)
+        self.noise = kind.of(np.where(self.estimated, self.size, asked.noise))
 
     def run(self) -> FitResult:
         known = None
@@ -141,7 +166,7 @@ class _Fit:
         return self._result(status, message, known)
 
     def _start(self) -> None:
-        self.progress(Progress("compiling", 0, np.nan, time.perf_counter() - self.begin))
+        self._tell("compiling")
         first, failure = self._evaluate(self.y)
         if failure:
             raise _Failed("cannot_start", f"The simulation fails at the guess: {failure}. Guess nearer to the truth.")
@@ -167,35 +192,55 @@ class _Fit:
         for number in range(1, NOISE_ROUNDS + 1):
             if not self._update_noise():
                 return
+            if not self.kind.plain:
+                self.best, failure = self._evaluate(self.y)
+                assert not failure  # it was good with the noise before
             self._least_squares(f"noise {number}", caution=1.0)
         raise _Failed("not_converged", f"The estimated noise still changes after {NOISE_ROUNDS} rounds.")
 
     def _least_squares(self, stage: str, caution: float) -> None:
         """Go to the optimum for the present noise; the solver sees the residuals divided by `caution`."""
-        steps = Steps(self.y)
-        steps.tell(self._whitened(self._best()) / caution)
-        wall = None
-        while self._distance() > CONVERGED:
-            if steps.stalled:
-                if self._distance() > STALLED:
-                    why = f": beyond it {wall}" if wall else ""
-                    raise _Failed("not_converged", f"No step makes the fit better, yet this is no optimum{why}. {TRY}")
-                return
-            if self.iterations >= self.max_iterations:
-                raise _Failed("not_converged", f"No optimum after {self.iterations} iterations. {TRY}")
-            y = steps.proposal
-            evaluation, failure = self._evaluate(y)
-            wall = failure or wall
-            if steps.tell(None if failure else self._whitened(evaluation) / caution):
-                self.y, self.best = y, evaluation
-            self._report(stage)
+        self.wall = None
+
+        def objective(y: np.ndarray) -> Triangle | None:
+            found = self._visit(y, stage)
+            return None if found is None else self._whitened(found) / caution
+
+        try:
+            self._end_at_optimum()
+            SOLVERS[self.solver].minimise(objective, self.y, self.numbers)
+        except _AtOptimum:
+            return
+        if self._distance() > STALLED:
+            why = f": beyond it {self.wall}" if self.wall else ""
+            raise _Failed("not_converged", f"No step makes the fit better, yet this is no optimum{why}. {TRY}")
+
+    def _visit(self, y: np.ndarray, stage: str) -> Evaluation | None:
+        """Evaluate where the solver asks, unless that is known; None where the simulation fails."""
+        best = self._best()
+        if np.array_equal(y, self.y):
+            return best
+        if self.iterations >= self.max_iterations:
+            raise _Failed("not_converged", f"No optimum after {self.iterations} iterations. {TRY}")
+        evaluation, failure = self._evaluate(y)
+        if failure:
+            self.wall = failure
+            return None
+        if self._cost(evaluation) <= self._cost(best) * (1 + ROUNDING):
+            self.y, self.best = np.array(y), evaluation
+            self._tell(stage, self._cost(evaluation) / self.samples.sum())
+            self._end_at_optimum()
+        return evaluation
+
+    def _end_at_optimum(self) -> None:
+        if self._distance() <= CONVERGED:
+            raise _AtOptimum
 
     def _evaluate(self, y: np.ndarray) -> tuple[Evaluation, str | None]:
         """The evaluation at `y`, and why it must not be used, if so."""
         self.iterations += 1
         while True:
-            asked = self.asked
-            evaluation = evaluate(self.cases, asked.case_of, self.numbers, asked.comparisons, jnp.asarray(y))
+            evaluation = evaluate(self.asked.model, self.noise, jnp.asarray(y))
             status = int(evaluation.status)
             if status != SWEEPS_MISSING or self.sweeps >= MOST_SWEEPS:
                 break
@@ -206,23 +251,30 @@ class _Fit:
         if not bool(evaluation.covered):
             return evaluation, "the simulation ends before the trace does"
         if not np.isfinite(evaluation.triangles).all():
-            return evaluation, not_finite(asked)
+            return evaluation, not_finite(self.asked)
         return evaluation, None
 
     def _more_sweeps(self) -> None:
         sweeps = min(self.sweeps + 2, MOST_SWEEPS)
-        self.cases = tuple(case.with_settings(sweeps=max(sweeps, case.settings.sweeps)) for case in self.cases)
-        stage = f"compiling with {sweeps} sweeps"
-        self.progress(Progress(stage, self.iterations, np.nan, time.perf_counter() - self.begin))
+        raised = [case.with_settings(sweeps=max(sweeps, case.settings.sweeps)) for case in self.asked.cases]
+        self.asked = dataclasses.replace(self.asked, cases=tuple(raised))
+        self._tell(f"compiling with {sweeps} sweeps")
 
     @property
     def sweeps(self) -> int:
         """The fewest of all cases."""
-        return min(case.settings.sweeps for case in self.cases)
+        return min(case.settings.sweeps for case in self.asked.cases)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        return np.asarray(self.noise.sigma)
 
     def _whitened(self, evaluation: Evaluation) -> np.ndarray:
         """At the present noise."""
         return evaluation.whitened(self.sigma)
+
+    def _cost(self, evaluation: Evaluation) -> float:
+        return float(np.sum(self._whitened(evaluation)[:, -1] ** 2))
 
     def _distance(self) -> float:
         """Length of the Gauss-Newton step in standard errors; parameters at their bounds go no further."""
@@ -246,19 +298,28 @@ class _Fit:
         return basis[:, s > RANK * s[0]]
 
     def _update_noise(self) -> bool:
-        """Estimate the noise that is not known from the residuals; whether it changed."""
+        """Estimate what is not known of the noise from the residuals; whether it changed."""
+        before, model = self.noise, self.asked.model
         # The residuals of a channel have lost as many degrees of freedom as parameters were taken from it.
         # At least one is left: `question` sees to it, but for channels whose noise is known.
-        size = np.linalg.norm(self._best().triangles[:, :, -1], axis=1)
-        left = np.maximum(self.samples - self._taken(), 1.0)
-        updated = np.maximum(size / np.sqrt(left), NOISE_FLOOR * self.size)
-        updated = np.where(self.estimated, updated, self.sigma)
-        changed = bool((np.abs(updated / self.sigma - 1) > NOISE_CHANGE).any())
-        self.sigma = updated
-        return changed
+        taken = self._taken()
+        residuals = model.residuals(self._best().fitted)
+        coloured = [reflections(np.asarray(r), self.kind.order) for r in residuals]
+        found = Noise(before.sigma, np.concatenate(coloured), before.degrees)
+        white = [np.asarray(c) for part, r in zip(model.noises(found), residuals, strict=True) for c in part.white(r)]
+        size = np.array([self._size(one, gone) for one, gone in zip(white, taken, strict=True)])
+        updated = np.where(self.estimated, np.maximum(size, NOISE_FLOOR * self.size), self.sigma)
+        self.noise = Noise(updated, found.reflection, before.degrees)
+        moved = np.abs(np.asarray(found.reflection) - np.asarray(before.reflection)).max(initial=0.0)
+        return bool(max(np.abs(updated / np.asarray(before.sigma) - 1).max(), moved) > NOISE_CHANGE)
 
-    def _report(self, stage: str) -> None:
-        cost = float(np.sum(self._whitened(self._best())[:, -1] ** 2) / self.samples.sum())
+    def _size(self, white: np.ndarray, taken: float) -> float:
+        """Of the noise of a channel, from its residuals without correlation, from which so many parameters were taken."""
+        if self.kind.distribution == "student":
+            return student_scale(white, self.kind.degrees, taken)
+        return float(np.linalg.norm(white) / np.sqrt(max(len(white) - taken, 1.0)))
+
+    def _tell(self, stage: str, cost: float = np.nan) -> None:
         self.progress(Progress(stage, self.iterations, cost, time.perf_counter() - self.begin))
 
     def _best(self) -> Evaluation:
@@ -266,79 +327,26 @@ class _Fit:
         return self.best
 
     def _result(self, status: str, message: str, known: Uncertainty | None) -> FitResult:
-        numbers, y, begun = self.numbers, self.y, known is None and status != "cannot_start"
+        numbers, begun = self.numbers, known is None and status != "cannot_start"
+        left = None
         if status == "converged":
-            known = uncertainty(numbers, y, self._whitened(self._best())[:, :-1])
-            status, message = _verdict(numbers, known)
+            left = colour(self.asked.model, self.noise, self._best())
+            jacobian = self._best().whitened(self.sigma, self.noise.information)[:, :-1]
+            known = uncertainty(numbers, self.y, jacobian, left.information)
+            status, message = verdict(self.asked, known, left)
         elif known is None:
             known = none_known((STATUS[status],) * len(numbers))
-        before = min(case.settings.sweeps for case in self.asked.cases)
-        if self.sweeps > before:
-            message += f" The sweeps were raised from {before} to {self.sweeps} on the way."
-        fitted = [numbers.insert(case, jnp.asarray(y), place) for place, case in enumerate(self.cases)]
-        return FitResult(
+        if self.sweeps > self.before:
+            message += f" The sweeps were raised from {self.before} to {self.sweeps} on the way."
+        optimum = Optimum(self.y, self.noise, self.best, known, left)
+        return outcome(
+            self.asked,
+            optimum,
             status=status,
             message=message,
-            parameters=_estimates(numbers, y, known),
-            correlation=known.correlation,
-            traces=self._trace_fits(),
-            cases=tuple(fitted[i] for i in self.asked.case_of),
             begun=begun,
+            noise_model=self.kind,
+            solver=self.solver,
             iterations=self.iterations,
             seconds=time.perf_counter() - self.begin,
-            versions=versions(),
         )
-
-    def _trace_fits(self) -> tuple[TraceFit, ...]:
-        if self.best is None:
-            return ()
-        sigma = iter(self.sigma)
-        return tuple(
-            TraceFit(one, np.asarray(fitted).T, {channel: float(next(sigma)) for channel in one.channels})
-            for one, fitted in zip(self.asked.measured, self.best.fitted, strict=True)
-        )
-
-
-def _verdict(numbers: FreeParameters, known: Uncertainty) -> tuple[str, str]:
-    """Status and message of a fit that reached an optimum."""
-    reasons = dict.fromkeys(reason for reason in known.reason if reason)
-    if not all(known.identifiable):
-        status = "not_identifiable"
-    elif any(known.at_bound):
-        status = "at_bound"
-    else:
-        return "converged", f"All {len(numbers)} parameters found."
-    return status, ". ".join(reason[0].upper() + reason[1:] for reason in reasons) + "."
-
-
-def _estimates(numbers: FreeParameters, y: np.ndarray, known: Uncertainty) -> tuple[Estimate, ...]:
-    values = np.asarray(numbers.values(jnp.asarray(y)))
-
-    def estimate(i: int) -> Estimate:
-        def shown(x):
-            return numbers.shown(i, float(x))
-
-        std, ci95, bounds = known.std[i], known.ci95[i], (numbers.low[i], numbers.high[i])
-        return Estimate(
-            name=numbers.names[i],
-            value=shown(values[i]),
-            unit=numbers.units[i],
-            std=None if std is None else shown(std),
-            ci95=None if ci95 is None else (shown(ci95[0]), shown(ci95[1])),
-            at_bound=known.at_bound[i],
-            identifiable=known.identifiable[i],
-            reason=known.reason[i],
-            guess=shown(numbers.guess[i]),
-            bounds=(
-                shown(bounds[0]) if np.isfinite(bounds[0]) else None,
-                shown(bounds[1]) if np.isfinite(bounds[1]) else None,
-            ),
-        )
-
-    return tuple(estimate(i) for i in range(len(numbers)))
-
-
-def versions() -> dict[str, str]:
-    """The programs that a fit rests on."""
-    packages = ("millax", "jax", "optimistix", "equinox", "numpy")
-    return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages}

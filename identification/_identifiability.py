@@ -12,6 +12,7 @@ from millax._simulate import STATUS
 
 from ._evaluate import Evaluation, evaluate
 from ._loadtest import LoadTest
+from ._noise import NoiseModel
 from ._parameters import Parameter, Tie
 from ._question import Question, question
 from ._traces import Trace
@@ -91,13 +92,17 @@ def check(
     at the guess, or the springs of a robot do not hold its loads.
     """
     asked = question(case, measured, parameters)
-    y = jnp.zeros(len(asked.numbers))
-    evaluation = evaluate(asked.cases, asked.case_of, asked.numbers, asked.comparisons, y)
+    evaluation = evaluate(asked.model, NoiseModel().of(assumed(asked)), jnp.zeros(len(asked.numbers)))
     if status := int(evaluation.status):
         raise SimulationError(f"At the guess: {STATUS[status]}")
     if not np.isfinite(evaluation.triangles).all():
         raise SimulationError(f"At the guess: {not_finite(asked)}")
     return checked(asked, evaluation)
+
+
+def assumed(asked: Question) -> Float[np.ndarray, " channels"]:
+    """Noise of each channel, assumed where it is not known."""
+    return np.where(np.isnan(asked.noise), ASSUMED * asked.size, asked.noise)
 
 
 def not_finite(asked: Question) -> str:
@@ -110,8 +115,7 @@ def not_finite(asked: Question) -> str:
 def checked(asked: Question, evaluation: Evaluation) -> Check:
     """The `Check` of an evaluation at the guess."""
     numbers = asked.numbers
-    sigma = np.where(np.isnan(asked.noise), ASSUMED * asked.size, asked.noise)
-    jacobian = evaluation.whitened(sigma)[:, :-1]
+    jacobian = evaluation.whitened(assumed(asked))[:, :-1]
     known = uncertainty(numbers, np.zeros(len(numbers)), jacobian)
     prospects = tuple(_prospect(asked, known, i) for i in range(len(numbers)))
     length = np.linalg.norm(jacobian, axis=0)

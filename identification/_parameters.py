@@ -119,6 +119,10 @@ class FreeParameters(eqx.Module):
         """The parameters in SI units at the coordinates `y`; the guess at y = 0."""
         return jnp.stack([transform(y[i]) for i, transform in enumerate(self.transforms)])
 
+    def coordinates(self, values: Float[Array, " n"]) -> Float[Array, " n"]:
+        """The coordinates y of parameters strictly within their bounds [SI]."""
+        return jnp.stack([transform.inverse(values[i]) for i, transform in enumerate(self.transforms)])
+
     def slopes(self, y: Float[Array, " n"]) -> Float[Array, " n"]:
         """dv/dy of each parameter."""
         return jnp.stack([jax.grad(transform)(y[i]) for i, transform in enumerate(self.transforms)])

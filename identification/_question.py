@@ -10,6 +10,7 @@ from millax._runtime import double_precision
 
 from ._compare import Comparison, compare
 from ._deflection import Deflection, deflection
+from ._evaluate import Model
 from ._loadtest import LoadTest
 from ._measured import TraceError
 from ._parameters import FreeParameters, Parameter, Tie, free
@@ -27,6 +28,13 @@ class Question:
     """Of each measured."""
     numbers: FreeParameters
     comparisons: tuple[Comparison | Deflection, ...]
+    parameters: tuple[Parameter | Tie, ...]
+    """As they were asked for."""
+
+    @property
+    def model(self) -> Model:
+        """What its points are evaluated with."""
+        return Model(self.cases, self.case_of, self.numbers, self.comparisons)
 
     @property
     def samples(self) -> np.ndarray:
@@ -73,7 +81,7 @@ def question(
     comparisons = [compared(one, its, numbers.leaves) for one, its in zip(measured, given, strict=True)]
     for one in measured:
         _enough(one, len(numbers))
-    return Question(tuple(measured), _settled(cases), tuple(case_of), numbers, tuple(comparisons))
+    return Question(tuple(measured), _settled(cases), tuple(case_of), numbers, tuple(comparisons), tuple(asked))
 
 
 def compared(one: Trace | LoadTest, case: Case, free_names: Collection[str]) -> Comparison | Deflection:

@@ -10,6 +10,8 @@ import numpy as np
 from millax import Case
 
 from ._loadtest import LoadTest
+from ._noise import Noise, NoiseModel
+from ._question import Question
 from ._traces import Trace
 
 STATUS = {
@@ -27,7 +29,8 @@ STATUS = {
 class Estimate:
     """One fitted parameter, its numbers in `unit`.
 
-    `std` and `ci95` are None where no uncertainty can be given; `reason` then says why.
+    `std` and `ci95` are None where no uncertainty can be given; `reason` then says why. `widened` is by how much they are
+    larger than they would be if what is left of the measurements were white noise.
     """
 
     name: str
@@ -40,6 +43,7 @@ class Estimate:
     reason: str | None
     guess: float
     bounds: tuple[float | None, float | None]
+    widened: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -53,6 +57,7 @@ class Estimate:
             "reason": self.reason,
             "guess": self.guess,
             "bounds": list(self.bounds),
+            "widened": self.widened,
         }
 
 
@@ -64,12 +69,16 @@ class TraceFit:
 
     - `trace`: what was measured.
     - `fitted`: the model, SI, shape (samples, channels): at the sample times, or of each deflection.
-    - `sigma`: standard deviation of the noise per channel, SI, known or estimated.
+    - `sigma`: standard deviation of the noise per channel, SI, known or estimated; with outliers the scale of Student's t.
+    - `fitted_std`: standard error of `fitted`, by what is not known of the parameters; None where there is no optimum.
+    - `orders`: of the autoregressive process that the residuals of each channel seem to come from; 0 where they are white.
     """
 
     trace: Trace | LoadTest
     fitted: np.ndarray
     sigma: Mapping[str, float]
+    fitted_std: np.ndarray | None
+    orders: Mapping[str, int]
 
     @property
     def residuals(self) -> np.ndarray:
@@ -100,6 +109,7 @@ class TraceFit:
             "r2": {channel: _finite(x) for channel, x in self.r2.items()},
             "rmse": {channel: _finite(shown(channel, x)) for channel, x in self.rmse.items()},
             "noise": {channel: _finite(shown(channel, x)) for channel, x in self.sigma.items()},
+            "residuals_order": dict(self.orders),
             "noise_estimated": [channel for channel in self.trace.channels if channel not in self.trace.noise],
             "units": {channel: self.trace.unit(channel) for channel in self.trace.channels},
         }
@@ -121,7 +131,11 @@ class FitResult:
     - `iterations`: evaluations of model and Jacobian.
     - `seconds`: wall time, compilation included.
     - `versions`: of the programs that made it.
-    - `seed`: of random numbers; None, this fit draws none.
+    - `noise_model`, `solver`: as they were asked for.
+    - `asked`: the question, as it was put to the solver.
+    - `y`: the solver's coordinates of the estimates, shape (n,), and `covariance` theirs, NaN where it is not known.
+    - `noise`: of all channels, one trace or load test after the other.
+    - `seed`: of random numbers; None where none are drawn.
     """
 
     status: str
@@ -134,6 +148,12 @@ class FitResult:
     iterations: int
     seconds: float
     versions: Mapping[str, str]
+    noise_model: NoiseModel
+    solver: str
+    asked: Question
+    y: np.ndarray
+    noise: Noise
+    covariance: np.ndarray
     seed: int | None = None
 
     @property
@@ -161,6 +181,12 @@ class FitResult:
             "parameters": [estimate.to_json() for estimate in self.parameters],
             "correlation": [[_finite(x) for x in row] for row in self.correlation],
             "traces": [trace.to_json() for trace in self.traces],
+            "noise": {
+                "distribution": self.noise_model.distribution,
+                "degrees": self.noise_model.degrees if self.noise_model.distribution == "student" else None,
+                "order": self.noise_model.order,
+            },
+            "solver": self.solver,
             "iterations": self.iterations,
             "seconds": round(self.seconds, 3),
             "versions": dict(self.versions),

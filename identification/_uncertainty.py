@@ -1,8 +1,9 @@
 """What was measured says about each parameter: covariance, intervals, and which questions have no answer.
 
 At the optimum the residuals whitened with their noise have the Jacobian J with respect to the solver's coordinates y.
-The covariance of y is (J^T J)^-1, the inverse Fisher information. A standard error of a parameter follows by its slope
-dv/dy; the 95 % interval is taken in y and mapped, so that it stays within the bounds.
+The covariance of y is (J^T J)^-1, the inverse Fisher information, where what is left is white; see `_colour` where it is
+not. A standard error of a parameter follows by its slope dv/dy; the 95 % interval is taken in y and mapped, so that it
+stays within the bounds.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ _NORMAL_95 = 1.959964
 class Uncertainty:
     """Per parameter, in SI units; None where there is no answer, and then `reason` says why.
 
-    `correlation` holds NaN in the rows and columns of such parameters.
+    `correlation` holds NaN in the rows and columns of such parameters. `covariance` is that of the coordinates y, NaN where
+    the measurements do not tell; `widened` is by how much the standard errors are larger than for white noise.
     """
 
     std: tuple[float | None, ...]
@@ -40,13 +42,16 @@ class Uncertainty:
     at_bound: tuple[bool, ...]
     reason: tuple[str | None, ...]
     correlation: Float[np.ndarray, "n n"]
+    covariance: Float[np.ndarray, "n n"]
+    widened: Float[np.ndarray, " n"]
 
 
 def none_known(reasons: tuple[str, ...], identifiable: tuple[bool, ...] | None = None) -> Uncertainty:
     """No uncertainty for any of the parameters, each for its reason; which of them could be known: by default none."""
     n = len(reasons)
     nothing, no = (None,) * n, (False,) * n
-    return Uncertainty(nothing, nothing, identifiable or no, no, reasons, np.full((n, n), np.nan))
+    empty = np.full((n, n), np.nan)
+    return Uncertainty(nothing, nothing, identifiable or no, no, reasons, empty, empty, np.ones(n))
 
 
 def at_bounds(free: FreeParameters, y: ArrayLike) -> np.ndarray:
@@ -66,8 +71,15 @@ def insensitive(jacobian: Float[np.ndarray, "rows n"]) -> np.ndarray:
     return norms <= 1e-12 * max(norms.max(), 1.0)
 
 
-def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, "rows n"]) -> Uncertainty:
-    """Uncertainty of the estimates at the optimum `y`, where the whitened residuals have this Jacobian."""
+def uncertainty(
+    free: FreeParameters,
+    y: ArrayLike,
+    jacobian: Float[np.ndarray, "rows n"],
+    correlated: Float[np.ndarray, "n n"] | None = None,
+) -> Uncertainty:
+    """Uncertainty of the estimates at the optimum `y`, where the whitened residuals have this Jacobian J. Where they are
+    correlated in time all the same, `correlated` is J^T R J, R their correlation: the covariance then is
+    (J^T J)^-1 J^T R J (J^T J)^-1."""
     n, y = len(free), jnp.asarray(y)
     value, slope = np.asarray(free.values(y)), np.asarray(free.slopes(y))
     at_bound = at_bounds(free, y)
@@ -80,7 +92,7 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
         reason[i] = f"{free.names[i]} changes nothing that was measured"
     live = np.flatnonzero(~dead & ~at_bound)
 
-    covariance = np.full((n, n), np.nan)
+    covariance, widened = np.full((n, n), np.nan), np.ones(n)
     if len(live):
         norms = np.linalg.norm(jacobian[:, live], axis=0)
         _, s, directions = np.linalg.svd(jacobian[:, live] / norms, full_matrices=False)
@@ -93,6 +105,10 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
             for k in involved:
                 reason[live[k]] = reason[live[k]] or text
         inverse = directions[known].T / s[known] ** 2 @ directions[known]
+        if correlated is not None:
+            white = np.diag(inverse)
+            inverse = inverse @ (correlated[np.ix_(live, live)] / np.outer(norms, norms)) @ inverse
+            widened[live] = np.sqrt(np.diag(inverse) / np.where(white > 0, white, 1.0))
         covariance[np.ix_(live, live)] = inverse / np.outer(norms, norms)
 
     std_y = np.sqrt(np.diag(covariance))
@@ -116,6 +132,8 @@ def uncertainty(free: FreeParameters, y: ArrayLike, jacobian: Float[np.ndarray, 
         at_bound=tuple(bool(held) for held in at_bound),
         reason=tuple(reason),
         correlation=covariance / np.outer(scale, scale),
+        covariance=covariance,
+        widened=widened,
     )
 
 

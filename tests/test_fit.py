@@ -262,9 +262,9 @@ def test_a_simulation_that_fails_on_the_way_is_a_step_turned_down(monkeypatch, r
 def test_an_optimum_behind_a_wall_of_failures_is_no_answer(monkeypatch, rigid_trace):
     evaluate = _fit.evaluate
 
-    def walled(cases, case_of, numbers, comparisons, y):
-        result = evaluate(cases, case_of, numbers, comparisons, y)
-        beyond = float(numbers.values(y)[0]) < 7e9
+    def walled(model, noise, y):
+        result = evaluate(model, noise, y)
+        beyond = float(model.numbers.values(y)[0]) < 7e9
         return eqx.tree_at(lambda e: e.status, result, jnp.array(2)) if beyond else result
 
     monkeypatch.setattr(_fit, "evaluate", walled)
@@ -378,7 +378,7 @@ def test_a_positive_quantity_stays_positive_on_its_way(rigid_trace):
     seen = []
     evaluate = _fit.evaluate
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_fit, "evaluate", lambda c, i, n, t, y: seen.append(np.array(n.values(y))) or evaluate(c, i, n, t, y))
+        patch.setattr(_fit, "evaluate", lambda m, n, y: seen.append(np.array(m.numbers.values(y))) or evaluate(m, n, y))
         result = fit(RIGID, rigid_trace, [Parameter("force.k0", 1e8), "force.kr"])
     assert result.success
     assert min(v[0] for v in seen) > 0
