@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from ._measured import TraceError
     from ._noise import NoiseModel
     from ._parameters import Parameter, Prior, Tie
+    from ._profile import Profile, profile
     from ._quality import Finding, quality
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._solver import SOLVERS
+    from ._starts import Waterfall
     from ._synthetic import synthetic_trace
     from ._traces import Trace, read_trace
 
@@ -35,17 +37,20 @@ __all__ = [
     "NoiseModel",
     "Parameter",
     "Prior",
+    "Profile",
     "Progress",
     "Prospect",
     "Tie",
     "Trace",
     "TraceError",
     "TraceFit",
+    "Waterfall",
     "align",
     "check",
     "fit",
     "load_fit",
     "mean_force_fit",
+    "profile",
     "quality",
     "read_load_test",
     "read_trace",
@@ -63,9 +68,11 @@ _HOMES = {
     "_measured": ("TraceError",),
     "_noise": ("NoiseModel",),
     "_parameters": ("Parameter", "Prior", "Tie"),
+    "_profile": ("Profile", "profile"),
     "_quality": ("Finding", "quality"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_solver": ("SOLVERS",),
+    "_starts": ("Waterfall",),
     "_synthetic": ("synthetic_trace",),
     "_traces": ("Trace", "read_trace"),
 }

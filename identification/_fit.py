@@ -4,6 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ from millax._simulate import STATUS as SIMULATION_STATUS
 
 from ._colour import colour
 from ._evaluate import Evaluation, evaluate
+from ._fleet import Ended, solve_many
 from ._identifiability import checked, not_finite
 from ._loadtest import LoadTest
 from ._noise import Noise, NoiseModel, reflections, student_scale
@@ -22,6 +24,7 @@ from ._parameters import Parameter, Tie
 from ._question import Question, question
 from ._result import STATUS, FitResult
 from ._solver import SOLVERS, Triangle
+from ._starts import SAME, SPREAD, Waterfall, draw_starts, waterfall
 from ._traces import Trace
 from ._uncertainty import RANK, Uncertainty, at_bounds, insensitive, none_known, uncertainty
 
@@ -74,6 +77,9 @@ def fit(
     *,
     noise: NoiseModel | None = None,
     solver: str = "optimistix_lm",
+    starts: int = 1,
+    spread: float = SPREAD,
+    seed: int = 0,
     check: bool = True,
     max_iterations: int | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -98,6 +104,10 @@ def fit(
     - `parameters`: `Parameter`s, or names of parameters to start from the case's own value; `Tie`s to them.
     - `noise`: what kind of noise there is; None: normal and white.
     - `solver`: one of `identification.SOLVERS`. All go to the same optimum; the first is the quickest.
+    - `starts`: how many starts to fit from, the guess among them, all in one compiled program, see `draw_starts`. The best
+      optimum is the answer, and `waterfall` of the result says where the others ended.
+    - `spread`: factor by which the starts differ from the guess at most, > 1.
+    - `seed`: of the starts.
     - `check`: whether a question to which the measurements have no answer at the guess, see `identification.check`, is not
       begun: the status then is "not_identifiable", and the message names the combinations that cannot be known.
     - `max_iterations`: evaluations of model and Jacobian after which the fit gives up. None: as many as suit the solver.
@@ -111,9 +121,14 @@ def fit(
     """
     if solver not in SOLVERS:
         raise ValueError(f"solver: {solver!r} given; it must be one of {', '.join(SOLVERS)}")
+    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
+        raise ValueError(f"starts: {starts!r} given; it must be a whole number of at least 1")
+    if not 1 < spread < np.inf:
+        raise ValueError(f"spread: {spread!r} given; it must be a factor greater than 1, such as 5")
     asked = question(case, measured, parameters)
+    from_where = None if starts == 1 else Begin(draw_starts(asked.numbers, starts, spread, seed), seed)
     most = SOLVERS[solver].evaluations if max_iterations is None else max_iterations
-    return _Fit(asked, noise or NoiseModel(), solver, check, most, progress or (lambda _: None)).run()
+    return _Fit(asked, noise or NoiseModel(), solver, from_where, check, most, progress or (lambda _: None)).run()
 
 
 class _Failed(Exception):
@@ -126,6 +141,13 @@ class _Failed(Exception):
         self.known = known
 
 
+class Begin(NamedTuple):
+    """Coordinates of many starts, and the seed they were drawn with."""
+
+    y: np.ndarray
+    seed: int
+
+
 class _AtOptimum(Exception):
     """The point evaluated is the optimum: nothing is left to do for the solver."""
 
@@ -133,12 +155,14 @@ class _AtOptimum(Exception):
 class _Fit:
     """The state of a running fit: where it is best, and with which noise."""
 
-    def __init__(self, asked: Question, kind: NoiseModel, solver: str, check: bool, most: int, progress):
+    def __init__(self, asked: Question, kind: NoiseModel, solver: str, begin, check: bool, most: int, progress):
         self.asked = asked
         self.numbers = asked.numbers
         self.before = self.sweeps
         self.kind = kind
         self.solver = solver
+        self.starts: Begin | None = begin
+        self.waterfall: Waterfall | None = None
         self.check = check
         self.max_iterations = most
         self.progress = progress
@@ -155,7 +179,10 @@ class _Fit:
         known = None
         try:
             self._start()
-            self._rounds()
+            if self.starts is None:
+                self._rounds()
+            else:
+                self._from_many(self.starts)
             status, message = "converged", ""
         except KeyboardInterrupt:
             status, message = "interrupted", "Stopped by the user; these are the best values so far."
@@ -184,6 +211,39 @@ class _Fit:
             reasons = tuple(parameter.reason or NOT_BEGUN for parameter in before.parameters)
             known = tuple(parameter.reason is None for parameter in before.parameters)
             raise _Failed("not_identifiable", f"{before.message} {NOT_BEGUN} {MEASURE}", none_known(reasons, known))
+
+    def _from_many(self, starts: Begin) -> None:
+        """Fit from many starts, and go on from the best end; then all go to their optima, for the noise that was found."""
+        ends = self._search(starts.y, "from all starts")
+        self._take_best(ends)
+        self._rounds()
+        ends = self._search(np.stack([one.y for one in ends]), "from all ends")
+        if min(one.cost for one in ends) < self._cost(self._best()) - SAME:
+            self._take_best(ends)
+            self._rounds()
+        self.waterfall = waterfall(self.numbers, starts.y, ends, starts.seed)
+
+    def _search(self, y: np.ndarray, stage: str) -> list[Ended]:
+        # Starts are far apart, and need more sweeps than the guess does.
+        cases = [
+            case.with_settings(sweeps=min(case.settings.sweeps + MORE_SWEEPS, MOST_SWEEPS)) for case in self.asked.cases
+        ]
+        model = dataclasses.replace(self.asked, cases=tuple(cases)).model
+
+        def done(count: int) -> None:
+            self._tell(f"{stage}: {count} of {len(y)}")
+
+        self._tell(f"compiling for {len(y)} starts")
+        ends = list(solve_many(self.asked.model, self.noise, y, caution=np.sqrt(self.samples.sum()), done=done))
+        self.iterations += sum(one.steps for one in ends)
+        self.max_iterations += sum(one.steps for one in ends)
+        return ends
+
+    def _take_best(self, ends: Sequence[Ended]) -> None:
+        best = min(ends, key=lambda one: one.cost)
+        evaluation, failure = self._evaluate(best.y)
+        if not failure and self._cost(evaluation) < self._cost(self._best()):
+            self.y, self.best = best.y, evaluation
 
     def _rounds(self) -> None:
         # Damping starts at 1. Residuals per sample make that cautious, as is right far from the optimum; near it,
@@ -349,4 +409,5 @@ class _Fit:
             solver=self.solver,
             iterations=self.iterations,
             seconds=time.perf_counter() - self.begin,
+            waterfall=self.waterfall,
         )

@@ -13,6 +13,7 @@ from ._noise import Noise, NoiseModel
 from ._parameters import FreeParameters
 from ._question import Question
 from ._result import Estimate, FitResult, TraceFit
+from ._starts import Waterfall
 from ._uncertainty import Uncertainty
 
 
@@ -25,6 +26,12 @@ class Optimum:
     evaluation: Evaluation | None
     known: Uncertainty
     left: Colour | None
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squares of the independent residuals over their noise."""
+        assert self.evaluation is not None
+        return float(np.sum(self.evaluation.whitened(np.asarray(self.noise.sigma))[:, -1] ** 2))
 
 
 def verdict(asked: Question, known: Uncertainty, left: Colour) -> tuple[str, str]:
@@ -65,6 +72,7 @@ def outcome(
     solver: str,
     iterations: int,
     seconds: float,
+    waterfall: Waterfall | None,
 ) -> FitResult:
     """The `FitResult`; `asked` holds the cases with the settings that the fit needed."""
     numbers, y = asked.numbers, jnp.asarray(optimum.y)
@@ -77,6 +85,7 @@ def outcome(
         traces=_trace_fits(asked, optimum),
         cases=tuple(fitted[i] for i in asked.case_of),
         begun=begun,
+        cost=np.nan if optimum.evaluation is None else optimum.cost,
         iterations=iterations,
         seconds=seconds,
         versions=versions(),
@@ -86,6 +95,8 @@ def outcome(
         y=optimum.y,
         noise=optimum.noise,
         covariance=optimum.known.covariance,
+        seed=None if waterfall is None else waterfall.seed,
+        waterfall=waterfall,
     )
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,12 @@ from millax import Case
 from ._loadtest import LoadTest
 from ._noise import Noise, NoiseModel
 from ._question import Question
+from ._starts import Waterfall
 from ._traces import Trace
+
+if TYPE_CHECKING:
+    from ._posterior import Posterior
+    from ._profile import Profile
 
 STATUS = {
     "converged": "every parameter is known",
@@ -128,6 +133,8 @@ class FitResult:
     - `traces`: each trace and load test beside the fitted model, in the order given.
     - `cases`: of each of them, its case with the estimates in it.
     - `begun`: whether there was anything to start from; if not, the estimates are the guesses.
+    - `cost`: sum of the squares of the independent residuals over their noise, and of what was known before; NaN where
+      nothing could be simulated.
     - `iterations`: evaluations of model and Jacobian.
     - `seconds`: wall time, compilation included.
     - `versions`: of the programs that made it.
@@ -136,6 +143,9 @@ class FitResult:
     - `y`: the solver's coordinates of the estimates, shape (n,), and `covariance` theirs, NaN where it is not known.
     - `noise`: of all channels, one trace or load test after the other.
     - `seed`: of random numbers; None where none are drawn.
+    - `waterfall`: where fits from other starts ended; None where there was one start.
+    - `profiles`: of the likelihood, see `profile`; none where they were not asked for.
+    - `posterior`: drawn, see `sample`; None where it was not asked for.
     """
 
     status: str
@@ -145,6 +155,7 @@ class FitResult:
     traces: tuple[TraceFit, ...]
     cases: tuple[Case, ...]
     begun: bool
+    cost: float
     iterations: int
     seconds: float
     versions: Mapping[str, str]
@@ -155,6 +166,9 @@ class FitResult:
     noise: Noise
     covariance: np.ndarray
     seed: int | None = None
+    waterfall: Waterfall | None = None
+    profiles: tuple["Profile", ...] = ()
+    posterior: "Posterior | None" = None
 
     @property
     def case(self) -> Case:

@@ -158,21 +158,21 @@ def _optimistix_bfgs(objective: Objective, y: np.ndarray, numbers: FreeParameter
 
 
 class _Bounded:
-    """The objective in x = (v - guess)/(dv/dy at the guess), whose bounds a solver keeps itself."""
+    """The objective in x = 1 + (v - guess)/(dv/dy at the guess), whose bounds a solver keeps itself. The guess is at 1, not
+    at 0: SciPy's first step is as long as the vector it starts from."""
 
     def __init__(self, objective: Objective, y: np.ndarray, numbers: FreeParameters):
         self.objective, self.numbers = objective, numbers
         self.guess, self.scale = np.asarray(numbers.guess), np.asarray(numbers.slopes(jnp.zeros(len(y))))
-        self.start = (np.asarray(numbers.values(jnp.asarray(y))) - self.guess) / self.scale
-        self.low = (np.asarray(numbers.low) - self.guess) / self.scale
-        self.high = (np.asarray(numbers.high) - self.guess) / self.scale
+        values = (numbers.values(jnp.asarray(y)), numbers.low, numbers.high)
+        self.start, self.low, self.high = (1 + (np.asarray(v) - self.guess) / self.scale for v in values)
 
     def __call__(self, x: np.ndarray) -> Triangle:
         """The triangular factor of [dr/dx, r]."""
         # On a bound itself the coordinate y is infinite.
         room = 1e-9 * np.minimum(self.high - self.low, 1.0)
         inside = np.clip(np.asarray(x, dtype=float), self.low + room, self.high - room)
-        y = np.asarray(self.numbers.coordinates(jnp.asarray(self.guess + self.scale * inside)))
+        y = np.asarray(self.numbers.coordinates(jnp.asarray(self.guess + self.scale * (inside - 1))))
         found = self.objective(y)
         if found is None:
             return rejected(len(y))
@@ -234,7 +234,6 @@ def _jaxopt_lm(objective: Objective, y: np.ndarray, numbers: FreeParameters) -> 
 
     solver = jaxopt.LevenbergMarquardt(
         residual_fun=lambda y: jnp.asarray(triangle(y)[:, -1]),
-        jac_fun=lambda y: jnp.asarray(triangle(y)[:, :-1]),
         damping_parameter=1e-3,
         solver="qr",
         materialize_jac=True,
@@ -243,6 +242,8 @@ def _jaxopt_lm(objective: Objective, y: np.ndarray, numbers: FreeParameters) -> 
         tol=0.0,
         maxiter=10_000,
     )
+    # jaxopt 0.8.5 forgets its own argument `jac_fun` where the Jacobian is a matrix.
+    solver._jac_fun = lambda y: jnp.asarray(triangle(y)[:, :-1])
     state, at = solver.init_state(jnp.asarray(y)), jnp.asarray(y)
     while True:
         updated, state = solver.update(at, state)
