@@ -224,12 +224,6 @@ class _Fit:
         self.waterfall = waterfall(self.numbers, starts.y, ends, starts.seed)
 
     def _search(self, y: np.ndarray, stage: str) -> list[Ended]:
-        # Starts are far apart, and need more sweeps than the guess does.
-        cases = [
-            case.with_settings(sweeps=min(case.settings.sweeps + MORE_SWEEPS, MOST_SWEEPS)) for case in self.asked.cases
-        ]
-        model = dataclasses.replace(self.asked, cases=tuple(cases)).model
-
         def done(count: int) -> None:
             self._tell(f"{stage}: {count} of {len(y)}")
 
