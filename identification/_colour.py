@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.signal import lfilter
 
 from ._compare import Comparison
@@ -42,14 +42,19 @@ def colour(model: Model, noise: Noise, evaluation: Evaluation) -> Colour:
     orders, total = [], np.asarray(evaluation.prior)[:, :-1].T @ np.asarray(evaluation.prior)[:, :-1]
     parts = zip(model.comparisons, model.noises(noise), model.residuals(evaluation.fitted), evaluation.changes, strict=True)
     for one, part, residuals, changes in parts:
-        independent, along = jax.linearize(part.independent, residuals)
-        errors = np.asarray(independent / part.sigma[:, None])
-        jacobian = np.asarray(jax.vmap(along)(changes) / part.sigma[:, None])
+        errors, jacobian = (np.asarray(x) for x in _independent(part, residuals, changes))
         for channel, error in enumerate(errors):
             fitted = process(error) if isinstance(one, Comparison) else np.zeros(0)
             orders.append(len(fitted))
             total = total + noise.information * correlated_square(jacobian[:, channel], fitted)
     return Colour(tuple(orders), total if any(orders) else None)
+
+
+@jax.jit
+def _independent(noise: Noise, residuals: Array, changes: Array) -> tuple[Array, Array]:
+    """Independent residuals over the size of their noise, and their derivatives."""
+    errors, along = jax.linearize(noise.independent, residuals)
+    return errors / noise.sigma[:, None], jax.vmap(along)(changes) / noise.sigma[:, None]
 
 
 def process(errors: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " p"]:

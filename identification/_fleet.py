@@ -84,10 +84,13 @@ def solve_many(
         # The last batch is filled up, so that one program serves all.
         which = [min(begin + i, m - 1) for i in range(TOGETHER)]
         batch = [_stacked([one[i] for i in which]) for one in (noises, starts, held, given)]
-        y, found, cost, distance, steps = _batch(model, batch[0], batch[1], batch[2], batch[3], jnp.asarray(caution))
+        y, found, cost, distance, steps = _batch(
+            model, batch[0], batch[1], batch[2], batch[3], jnp.asarray(caution, dtype=float)
+        )
+        y, cost, distance, steps, found = jax.tree.map(np.asarray, (y, cost, distance, steps, found))
         for i in range(min(TOGETHER, m - begin)):
             one = jax.tree.map(lambda leaf, i=i: leaf[i], found)
-            yield Ended(np.asarray(y[i]), one, float(cost[i]), float(distance[i]), int(steps[i]))
+            yield Ended(y[i], one, float(cost[i]), float(distance[i]), int(steps[i]))
         done(min(begin + TOGETHER, m))
 
 
