@@ -1,4 +1,4 @@
-"""The table [fit] of a case file: which numbers are free, and how.
+"""The table [fit] of a case file: which numbers are free, and how they are found.
 
 [fit.free]                              # the numbers to find
 force.k0 = { guess = "10000 N/mm^2", bounds = ["1000 N/mm^2", "none"] }
@@ -8,34 +8,98 @@ structure.damping_ratio.y = { tie = "structure.damping_ratio.x", factor = 1.2 } 
 force.hs = { prior = { mean = "18 um", factor = 1.5 } }     # known before: or std = "3 um"
 clock.start = { each = true }           # a value of its own in every trace
 
+[fit]                                   # how: all of it may be left out
+solver = "optimistix_lm"                # or optimistix_dogleg, optimistix_bfgs, scipy_trf, jaxopt_lm, jaxopt_lbfgsb
+starts = 20                             # fit from so many starts, the guess among them
+spread = 5                              # which differ from it by this factor at most
+seed = 0                                # of all random numbers
+profile = true                          # intervals by profile likelihood, too
+posterior = 2000                        # draws of the posterior by NUTS
+noise = { distribution = "student", degrees = 4, order = 1 }    # outliers; correlation in time, by so many terms
+
 [fit.truth]                             # for synthetic data: what the estimates are compared with
 force.k0 = "5000 N/mm^2"
 """
 
 import difflib
+import math
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 from millax import CaseFile
 from millax._names import Number, read_value, valid_names
 from millax._units import show
 
+from ._noise import NoiseModel
 from ._parameters import Parameter, Prior, Tie
+from ._solver import SOLVERS
+from ._starts import SPREAD
 
 _FREE, _TIED = ("guess", "bounds", "prior", "each"), ("tie", "factor")
 """What may be said of a free number, and of one that follows another."""
 
 
-def asked_in(file: CaseFile) -> tuple[tuple[Parameter | Tie, ...], dict[str, float]]:
-    """What the table [fit] asks, and the truth by name, in SI, where it is known. Raises `ValueError`."""
+@dataclass(frozen=True)
+class Options:
+    """How a fit is made: as of `fit`; whether profiles are wanted, and how many draws of the posterior."""
+
+    noise: NoiseModel = NoiseModel()
+    solver: str = "optimistix_lm"
+    starts: int = 1
+    spread: float = SPREAD
+    seed: int = 0
+    profile: bool = False
+    posterior: int = 0
+
+    def __post_init__(self):
+        if self.solver not in SOLVERS:
+            near = difflib.get_close_matches(str(self.solver), SOLVERS, n=1)
+            hint = f" Did you mean {near[0]}?" if near else ""
+            raise ValueError(f"solver: {show(self.solver)} given.{hint} It must be one of {', '.join(SOLVERS)}")
+        for name, least in (("starts", 1), ("seed", 0), ("posterior", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise ValueError(f"{name}: {show(value)} given; it must be a whole number of at least {least}")
+        if isinstance(self.spread, bool) or not isinstance(self.spread, int | float) or not 1 < self.spread < math.inf:
+            raise ValueError(f"spread: {show(self.spread)} given; it must be a factor greater than 1, such as 5")
+        if not isinstance(self.profile, bool):
+            raise ValueError(f"profile: {show(self.profile)} given; it must be true or false")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the table [fit] asks: the free numbers, the truth by name, in SI, where it is known, and how."""
+
+    parameters: tuple[Parameter | Tie, ...]
+    truth: dict[str, float]
+    options: Options
+
+
+def asked_in(file: CaseFile) -> Asked:
+    """What the table [fit] asks. Raises `ValueError`."""
     tables = file.tables.get("fit")
     if not isinstance(tables, Mapping):
         raise ValueError('the table [fit.free] is missing; it names the numbers to find: force.k0 = { guess = "..." }')
-    check_keys("fit", tables, ("free", "truth"))
+    how = [field.name for field in fields(Options)]
+    check_keys("fit", tables, ("free", "truth", *how))
     known = valid_names(file.case)
     asked = dict(_flat("fit.free", tables.get("free", {}), known))
     truth = {name: read_value(file.case, name, value) for name, value in _flat("fit.truth", tables.get("truth", {}), known)}
-    return tuple(_parameter(file, name, given) for name, given in asked.items()), truth
+    given = {name: tables[name] for name in how if name in tables}
+    if "noise" in given:
+        given["noise"] = _noise(given["noise"])
+    parameters = tuple(_parameter(file, name, one) for name, one in asked.items())
+    return Asked(parameters, truth, Options(**given))
+
+
+def _noise(given: Any) -> NoiseModel:
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f'noise: {show(given)} given; it must be a table, such as {{ distribution = "student", order = 1 }}'
+        )
+    check_keys("fit.noise", given, [field.name for field in fields(NoiseModel)])
+    return NoiseModel(**given)
 
 
 def _flat(table: str, given: Any, known: Collection[str], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -30,7 +30,7 @@ from millax import Case, CaseError, CaseFile
 from millax._units import show
 
 from ._align import align
-from ._asked import asked_in, check_keys
+from ._asked import Options, asked_in, check_keys
 from ._loadtest import LoadTest, read_load_test
 from ._parameters import Parameter, Tie, free
 from ._question import compared
@@ -48,7 +48,7 @@ class FitProblem:
     """A question read from a case file, ready for `fit(problem.cases, problem.traces, problem.parameters)`: all that was
     measured has its case.
 
-    `truth` holds the SI values that estimates are to be compared with, where they are known.
+    `truth` holds the SI values that estimates are to be compared with, where they are known; `options` say how to fit.
     """
 
     file: CaseFile
@@ -57,6 +57,7 @@ class FitProblem:
     """Traces, then load tests, in the order of the file."""
     parameters: tuple[Parameter | Tie, ...]
     truth: dict[str, float]
+    options: Options
 
     @property
     def case(self) -> Case:
@@ -72,7 +73,8 @@ def load_fit(path: str | os.PathLike) -> FitProblem:
     """
     file = CaseFile.read(path)
     try:
-        parameters, truth = asked_in(file)
+        asked = asked_in(file)
+        parameters = asked.parameters
         numbers = free(file.case, parameters)
         sources = _sources(file)
     except CaseError:
@@ -90,7 +92,7 @@ def load_fit(path: str | os.PathLike) -> FitProblem:
     )
     for one, case in zip(measured, cases, strict=True):
         compared(one, case, numbers.leaves)
-    return FitProblem(file, cases, measured, parameters, truth)
+    return FitProblem(file, cases, measured, parameters, asked.truth, asked.options)
 
 
 def measured_in(tables: Mapping[str, Any]) -> list[tuple[str, Any]]:

@@ -99,8 +99,8 @@ def _stacked(parts):
 
 
 @eqx.filter_jit
-def _batch(model: Model, noise: Noise, starts: Array, held: Array, measured, caution: Array):
-    return jax.vmap(lambda *one: _one(model, one[0], one[1], one[2], one[3], caution))(noise, starts, held, measured)
+def _batch(model: Model, lanes, caution: Array):
+    return jax.vmap(lambda lane: _one(model, *lane, caution))(lanes)
 
 
 def _one(model: Model, noise: Noise, start: Array, held: Array, measured, caution: Array):

@@ -8,6 +8,7 @@ factor by which the standard error was widened (Rotnitzky and Jewell 1990).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -53,6 +54,17 @@ class Profile:
     root: Float[np.ndarray, " k"]
     ci95: tuple[float, float] | None
     reason: str | None
+
+    def to_json(self) -> dict[str, Any]:
+        """For `result.json`."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "values": self.values.tolist(),
+            "root": self.root.tolist(),
+            "ci95": self.ci95 and list(self.ci95),
+            "reason": self.reason,
+        }
 
 
 def profile(

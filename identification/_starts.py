@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -58,6 +59,14 @@ class Waterfall:
         if none:
             said.append(f"{none} reached none")
         return ", ".join(said)
+
+    def to_json(self) -> dict[str, Any]:
+        """For `result.json`: costs over that of the best, None where the simulation failed."""
+        return {
+            "message": self.words,
+            "cost": [float(cost) if np.isfinite(cost) else None for cost in self.cost],
+            "optimum": self.optimum.tolist(),
+        }
 
 
 def draw_starts(numbers: FreeParameters, count: int, spread: float, seed: int) -> Float[np.ndarray, "m n"]:

@@ -66,6 +66,9 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="begin also where the measurements cannot determine what is asked",
     )
+    fit.add_argument("--starts", metavar="N", type=int, help="fit from N starts, in place of what [fit] says")
+    fit.add_argument("--profile", action="store_true", default=None, help="intervals by profile likelihood, too")
+    fit.add_argument("--posterior", metavar="N", type=int, help="N draws of the posterior, in place of what [fit] says")
     fit.set_defaults(run=_fit)
 
     check = commands.add_parser(
