@@ -24,7 +24,7 @@ force.k0 = "5000 N/mm^2"
 import difflib
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from millax import CaseFile
@@ -44,7 +44,7 @@ _FREE, _TIED = ("guess", "bounds", "prior", "each"), ("tie", "factor")
 class Options:
     """How a fit is made: as of `fit`; whether profiles are wanted, and how many draws of the posterior."""
 
-    noise: NoiseModel = NoiseModel()
+    noise: NoiseModel = field(default_factory=NoiseModel)
     solver: str = "optimistix_lm"
     starts: int = 1
     spread: float = SPREAD
@@ -81,7 +81,7 @@ def asked_in(file: CaseFile) -> Asked:
     tables = file.tables.get("fit")
     if not isinstance(tables, Mapping):
         raise ValueError('the table [fit.free] is missing; it names the numbers to find: force.k0 = { guess = "..." }')
-    how = [field.name for field in fields(Options)]
+    how = [one.name for one in fields(Options)]
     check_keys("fit", tables, ("free", "truth", *how))
     known = valid_names(file.case)
     asked = dict(_flat("fit.free", tables.get("free", {}), known))
@@ -98,7 +98,7 @@ def _noise(given: Any) -> NoiseModel:
         raise ValueError(
             f'noise: {show(given)} given; it must be a table, such as {{ distribution = "student", order = 1 }}'
         )
-    check_keys("fit.noise", given, [field.name for field in fields(NoiseModel)])
+    check_keys("fit.noise", given, [one.name for one in fields(NoiseModel)])
     return NoiseModel(**given)
 
 

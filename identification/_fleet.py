@@ -7,6 +7,7 @@ simulation that fails on the way is a step turned down.
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,9 +18,9 @@ from jaxtyping import Array, Bool, Float
 
 from millax._gain import MOST_SWEEPS
 
-from ._evaluate import Evaluation, Model, evaluation
+from ._evaluate import Model, evaluation
 from ._noise import Noise
-from ._solver import REJECTED, levenberg_marquardt, linear_model
+from ._solver import REJECTED, Triangle, levenberg_marquardt, linear_model
 
 TOGETHER = 8
 """Fits in one batch: beyond that blocks of simulations no longer fit the cache of a processor."""
@@ -39,14 +40,14 @@ class Ended:
     """Where one of many fits ended.
 
     - `y`: the coordinates.
-    - `evaluation`: model and Jacobian there.
+    - `triangle`: the triangular factor of [J, r] there, in units of the noise; parameters held have no derivatives.
     - `cost`: sum of the squares of the independent residuals over their noise; infinite where the simulation fails.
     - `distance`: of the optimum, in standard errors; parameters held do not count.
     - `steps`: evaluations that it took.
     """
 
     y: Float[np.ndarray, " n"]
-    evaluation: Evaluation
+    triangle: Triangle
     cost: float
     distance: float
     steps: int
@@ -83,14 +84,12 @@ def solve_many(
     for begin in range(0, m, TOGETHER):
         # The last batch is filled up, so that one program serves all.
         which = [min(begin + i, m - 1) for i in range(TOGETHER)]
-        batch = [_stacked([one[i] for i in which]) for one in (noises, starts, held, given)]
-        y, found, cost, distance, steps = _batch(
-            model, batch[0], batch[1], batch[2], batch[3], jnp.asarray(caution, dtype=float)
-        )
-        y, cost, distance, steps, found = jax.tree.map(np.asarray, (y, cost, distance, steps, found))
+        lanes = tuple(_stacked([one[i] for i in which]) for one in (noises, starts, held, given))
+        y, triangle, distance, steps = (np.asarray(x) for x in _batch(model, lanes, jnp.asarray(caution, dtype=float)))
         for i in range(min(TOGETHER, m - begin)):
-            one = jax.tree.map(lambda leaf, i=i: leaf[i], found)
-            yield Ended(y[i], one, float(cost[i]), float(distance[i]), int(steps[i]))
+            failed = abs(triangle[i, -1, -1]) >= REJECTED
+            cost = np.inf if failed else float(np.sum(triangle[i, :, -1] ** 2))
+            yield Ended(y[i], triangle[i], cost, np.inf if failed else float(distance[i]), int(steps[i]))
         done(min(begin + TOGETHER, m))
 
 
@@ -99,23 +98,27 @@ def _stacked(parts):
 
 
 @eqx.filter_jit
-def _batch(model: Model, lanes, caution: Array):
-    return jax.vmap(lambda lane: _one(model, *lane, caution))(lanes)
+def _batch(model: Model, lanes: Any, caution: Array):
+    def fit(lane):
+        noise, start, held, measured = lane
+        return _one(model, noise, start, held, measured, caution)
+
+    return jax.vmap(fit)(lanes)
 
 
 def _one(model: Model, noise: Noise, start: Array, held: Array, measured, caution: Array):
-    """One fit: coordinates, evaluation, cost, distance of the optimum and steps."""
+    """One fit: coordinates, the triangle and the distance of the optimum there, and steps."""
     model = eqx.tree_at(lambda m: [one.measured for one in m.comparisons], model, list(measured))
     n = len(start)
 
     def look(y):
-        """[J, r] as a triangle, and whether it may be used; parameters held change nothing."""
+        """The triangle of [J, r]; parameters held change nothing."""
         found = evaluation(model, noise, y)
         triangles = found.triangles / noise.sigma[:, None, None]
         rows = jnp.concatenate([triangles.reshape(-1, n + 1), found.prior])
         triangle = jnp.linalg.qr(rows, mode="r")[: n + 1] * jnp.append(~held, True)
         usable = (found.status == 0) & found.covered & jnp.isfinite(triangle).all()
-        return triangle, usable, found
+        return jnp.where(usable, triangle, jnp.zeros((n + 1, n + 1)).at[-1, -1].set(REJECTED))
 
     method, options, tags = levenberg_marquardt(), {"jac": "fwd"}, frozenset()
     linear = (jnp.zeros(n + 1), jnp.zeros((n + 1, n)), start)
@@ -124,27 +127,23 @@ def _one(model: Model, noise: Noise, start: Array, held: Array, measured, cautio
     numbers, rest = eqx.partition(state, eqx.is_array)
 
     def step(carry):
-        y, numbers, _, count = carry
+        y, numbers, best, _, _, count = carry
         state = eqx.combine(numbers, rest)
-        triangle, usable, _ = look(state.y_eval)
-        jacobian = jnp.where(usable, triangle[:, :-1], 0.0)
-        residual = jnp.where(usable, triangle[:, -1], jnp.zeros(n + 1).at[-1].set(REJECTED * caution))
-        away = jnp.where(usable, _distance(jacobian, residual), jnp.inf)
-        before = state.num_accepted_steps
-        y, state, _ = method.step(
-            linear_model, y, (residual / caution, jacobian / caution, state.y_eval), options, state, tags
-        )
-        arrived = (state.num_accepted_steps > before) & (away <= CONVERGED)
-        stalled = state.terminate | (jnp.abs(state.y_eval - y).max() < 1e-12)
-        return y, eqx.filter(state, eqx.is_array), arrived | stalled, count + 1
+        triangle, before = look(state.y_eval), state.num_accepted_steps
+        linear = (triangle[:, -1] / caution, triangle[:, :-1] / caution, state.y_eval)
+        y, state, _ = method.step(linear_model, y, linear, options, state, tags)
+        best = jnp.where(state.num_accepted_steps > before, triangle, best)
+        distance = _distance(best[:, :-1], best[:, -1])
+        ended = (distance <= CONVERGED) | state.terminate | (jnp.abs(state.y_eval - y).max() < 1e-12)
+        return y, eqx.filter(state, eqx.is_array), best, distance, ended, count + 1
 
     def going(carry):
-        return ~carry[2] & (carry[3] < STEPS)
+        return ~carry[4] & (carry[5] < STEPS)
 
-    y, _, _, count = lax.while_loop(going, step, (start, numbers, jnp.array(False), jnp.array(0)))
-    triangle, usable, found = look(y)
-    cost = jnp.where(usable, jnp.sum(triangle[:, -1] ** 2), jnp.inf)
-    return y, found, cost, jnp.where(usable, _distance(triangle[:, :-1], triangle[:, -1]), jnp.inf), count
+    nothing = jnp.zeros((n + 1, n + 1))
+    carry = (start, numbers, nothing, jnp.array(jnp.inf), jnp.array(False), jnp.array(0))
+    y, _, best, distance, _, count = lax.while_loop(going, step, carry)
+    return y, best, distance, count
 
 
 def _distance(jacobian: Float[Array, "k n"], residual: Float[Array, " k"]) -> Float[Array, ""]:

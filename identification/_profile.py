@@ -16,8 +16,9 @@ from jaxtyping import Float
 
 from ._fleet import solve_many
 from ._result import FitResult
+from ._uncertainty import NORMAL_95
 
-LIMIT = 1.959964
+LIMIT = NORMAL_95
 """sqrt(D) at the ends of the interval of 95 %."""
 
 NEAR = 0.01

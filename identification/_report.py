@@ -10,6 +10,7 @@ import numpy as np
 
 from millax._names import value_of
 
+from . import _curves as curves
 from . import _figures as figures
 from ._loadtest import LoadTest
 from ._result import STATUS, FitResult, TraceFit
@@ -43,6 +44,13 @@ def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str
             for fit, tooth_period in zip(result.traces, periods, strict=False)  # a fit that never ran has no traces
         ],
         "correlation": figures.correlation(result) if np.isfinite(result.correlation).sum() > 1 else None,
+        "has_profiles": bool(result.profiles),
+        "profiles": curves.profiles(result.profiles, result.parameters)
+        if any(len(p.values) for p in result.profiles)
+        else None,
+        "open_profiles": [p.reason for p in result.profiles if p.reason],
+        "waterfall": None if result.waterfall is None else curves.waterfall(result.waterfall),
+        "noise_words": _noise_words(result),
     }
 
 
@@ -59,7 +67,8 @@ def _pictures(fit: TraceFit, tooth_period: float) -> dict[str, str]:
         }
     return {
         "fitted": figures.measured_and_fitted(fit, tooth_period),
-        "fitted_caption": f"Grey: measured. Colour: the model with the estimates. {fit.trace.samples} samples.",
+        "fitted_caption": "Grey: measured. Colour: the model with the estimates; at the right with the band in which the "
+        f"model lies with 95 %, by what is not known of the parameters. {fit.trace.samples} samples.",
         "residuals": figures.residuals(fit, tooth_period),
         "residuals_caption": "Measured less fitted. A model that leaves only noise has a band of even width, a flat "
         "spectrum on the dashed line, and the normal distribution. Lines in the spectrum are what the model misses.",
@@ -80,6 +89,7 @@ def _row(result: FitResult, i: int, truth: dict[str, float]) -> dict[str, Any]:
         "estimate": with_error(e.value, e.std),
         "relative": f"{100 * e.std / abs(e.value):.2g} %" if e.std and e.value else None,
         "ci95": interval(e.ci95) if e.ci95 else None,
+        "profile": next((interval(p.ci95) for p in result.profiles if p.name == e.name and p.ci95), None),
         "ends": [(x - e.value) / e.std for x in e.ci95] if e.ci95 and e.std else None,
         "guess": plain(e.guess, 3),
         "truth": None if true is None else plain(true),
@@ -87,6 +97,13 @@ def _row(result: FitResult, i: int, truth: dict[str, float]) -> dict[str, Any]:
         "error": None if not true else f"{100 * (e.value / true - 1):+.2f} %".replace("-", "−"),
         "reason": e.reason,
     }
+
+
+def _noise_words(result: FitResult) -> str:
+    """The kind of noise that the fit rests on."""
+    kind = result.noise_model
+    words = "normal" if kind.distribution == "normal" else f"Student's t with {kind.degrees:g} degrees of freedom"
+    return words + (f", autoregressive of order {kind.order}" if kind.order else ", white")
 
 
 def _summary(result: FitResult, rows: list[dict[str, Any]]) -> list[str]:
@@ -121,6 +138,7 @@ def _channels(fit: TraceFit) -> list[dict[str, Any]]:
             "rmse": plain(fit.trace.shown(channel, fit.rmse[channel])),
             "sigma": plain(fit.trace.shown(channel, fit.sigma[channel])),
             "how": "given" if channel in fit.trace.noise else "estimated",
+            "colour": "white" if not fit.orders[channel] else f"not white (order {fit.orders[channel]})",
             "chi2": f"{(fit.rmse[channel] / fit.sigma[channel]) ** 2:.3f}",
         }
         for channel in fit.trace.channels

@@ -25,7 +25,8 @@ bound, a quarter of the range for one with two, and the size of the guess for on
 AT_BOUND = 1e-3
 """A parameter nearer to a bound than this part of its range (with one bound: of the guess's distance) is at it."""
 
-_NORMAL_95 = 1.959964
+NORMAL_95 = 1.959964
+"""Half the width of the interval that holds 95 % of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def uncertainty(
             )
     given = np.array([text is None for text in reason])
     scale = np.where(given, std_y, np.nan)
-    ends = [np.asarray(free.values(y + sign * _NORMAL_95 * jnp.where(given, std_y, 0.0))) for sign in (-1, 1)]
+    ends = [np.asarray(free.values(y + sign * NORMAL_95 * jnp.where(given, std_y, 0.0))) for sign in (-1, 1)]
     return Uncertainty(
         std=tuple(float(slope[i] * std_y[i]) if given[i] else None for i in range(n)),
         ci95=tuple((float(ends[0][i]), float(ends[1][i])) if given[i] else None for i in range(n)),

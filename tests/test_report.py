@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cases import slot
 
-from identification import Estimate, FitResult, Trace, TraceFit
+from identification import Estimate, FitResult, NoiseModel, Profile, Trace, TraceFit, Waterfall
 from identification._report import write_report
 from identification._words import interval, plain, unit_words, with_error
 
@@ -40,12 +40,19 @@ def result(samples=30_000, **others):
         "message": "All 2 parameters found.",
         "parameters": (estimate("force.k0", 5000.0, 20.0, unit="N/mm^2"), estimate("force.kr", 0.3, 0.001)),
         "correlation": np.array([[1, -0.7], [-0.7, 1]]),
-        "traces": (TraceFit(trace, fitted, {"Fx": 2.0, "y": 1e-6}),),
+        "traces": (TraceFit(trace, fitted, {"Fx": 2.0, "y": 1e-6}, 1e-3 * np.abs(fitted), {"Fx": 0, "y": 3}),),
         "cases": (CASE,),
         "begun": True,
         "iterations": 12,
         "seconds": 3.2,
         "versions": {"millax": "0.1.0"},
+        "cost": 60_000.0,
+        "noise_model": NoiseModel(),
+        "solver": "optimistix_lm",
+        "asked": None,
+        "y": np.zeros(2),
+        "noise": None,
+        "covariance": np.eye(2),
     }
     return FitResult(**fields | others)
 
@@ -145,6 +152,37 @@ def test_a_fit_that_never_ran_has_a_report_too(tmp_path):
 def test_text_from_outside_is_text(tmp_path):
     html, _, _ = page(tmp_path, dataclasses.replace(result(200), message="<script>alert(1)</script>"))
     assert "<script>" not in html
+
+
+def test_profiles_other_starts_and_the_noise_have_their_place(tmp_path):
+    root = np.linspace(-3, 3, 7)
+    profiles = (
+        Profile("force.k0", "N/mm^2", 5000 + 20 * root, root, (4962.0, 5041.0), None),
+        Profile("force.kr", "", np.zeros(0), np.zeros(0), None, "the measurements leave force.kr open above the estimate"),
+    )
+    ends = np.array([[5000.0, 0.3], [5000.0, 0.3], [9000.0, 0.2], [1.0, 0.1]])
+    falls = Waterfall(
+        ("force.k0", "force.kr"),
+        ("N/mm^2", ""),
+        2 * ends,
+        ends,
+        np.array([0.0, 1e-9, 700.0, np.inf]),
+        np.array([0, 0, 1, -1]),
+        7,
+    )
+    fit = result(500, profiles=profiles, waterfall=falls, noise_model=NoiseModel("student", order=2), seed=7)
+    _, parsed, text = page(tmp_path, fit)
+    assert parsed.tags.count("svg") == 2 + 1 + 2
+    for words in (
+        "by profile",
+        "4962 … 5041",
+        "The measurements leave force.kr open above the estimate.",
+        "2 of 4 starts reached the best optimum, 1 ended in 1 worse one, 1 reached none",
+        "Student's t with 4 degrees of freedom, autoregressive of order 2",
+        "seed 7",
+        "not white (order 3)",
+    ):
+        assert words in text
 
 
 def test_the_same_fit_gives_the_same_file(tmp_path):

@@ -5,6 +5,8 @@ Each fit is that of `identification.fit`, by its parts, with many in one program
 
 from collections.abc import Iterator
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lfilter
@@ -12,8 +14,8 @@ from scipy.signal import lfilter
 import identification as ident
 import millax as mx
 from identification._colour import colour
-from identification._evaluate import Evaluation, Model, evaluate
-from identification._fleet import solve_many
+from identification._evaluate import Evaluation, Model, evaluate, evaluation
+from identification._fleet import TOGETHER, solve_many
 from identification._noise import Noise, NoiseModel, reflections
 from identification._profile import LIMIT
 from identification._question import question
@@ -63,16 +65,18 @@ def _study(
     best = Noise(sigma, np.full((len(sigma), 1 if ar else 0), ar), None)
     bound = _std(evaluate(model, best, jnp.zeros(n)).whitened(sigma)[:, :-1])
 
-    first = solve_many(model, truth, np.zeros((m, n)), measured=measured)
-    estimated = [_noise(model, one.evaluation, values, kind, n) for one, values in zip(first, measured, strict=True)]
+    first = np.stack([one.y for one in solve_many(model, truth, np.zeros((m, n)), measured=measured)])
+    found = _evaluations(model, [truth] * m, first, measured)
+    estimated = [_noise(one, values, kind, n) for one, values in zip(found, measured, strict=True)]
     y, cost, std, along = np.zeros((m, n)), np.zeros(m), np.zeros((m, n)), np.zeros((m, n, n))
     widened = np.ones((m, n))
-    fits = solve_many(model, estimated, np.zeros((m, n)), measured=measured)
-    for i, (one, noise) in enumerate(zip(fits, estimated, strict=True)):
-        jacobian = one.evaluation.whitened(np.asarray(noise.sigma))[:, :-1]
+    fits = list(solve_many(model, estimated, first, measured=measured))
+    found = _evaluations(model, estimated, np.stack([one.y for one in fits]), measured)
+    for i, (one, there, noise) in enumerate(zip(fits, found, estimated, strict=True)):
+        jacobian = one.triangle[:, :-1]
         covariance = np.linalg.inv(jacobian.T @ jacobian)
         naive = np.sqrt(np.diag(covariance))
-        left = colour(_of(model, measured[i]), noise, one.evaluation).information
+        left = colour(_of(model, measured[i]), noise, there).information
         if left is not None:
             covariance = covariance @ left @ covariance
         y[i], cost[i], std[i] = one.y, one.cost, np.sqrt(np.diag(covariance))
@@ -99,7 +103,23 @@ def _study(
         yield _within(f"{what}: {name}, truth within the interval by profile", 100 * value, 93, 97, ".1f", " %")
 
 
-def _noise(model: Model, found: Evaluation, measured, kind: NoiseModel, n: int) -> Noise:
+def _evaluations(model: Model, noises, at: np.ndarray, measured) -> Iterator[Evaluation]:
+    """Model and Jacobian of many fits, in batches."""
+
+    @jax.jit
+    def evaluated(noise, y, values):
+        return jax.vmap(lambda noise, y, values: evaluation(_of(model, values), noise, y))(noise, y, values)
+
+    for begin in range(0, len(at), TOGETHER):
+        which = [min(begin + i, len(at) - 1) for i in range(TOGETHER)]
+        lanes = ([one[i] for i in which] for one in (noises, at, measured))
+        stacked = (jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x) for x in leaves]), *lane) for lane in lanes)
+        found = jax.tree.map(np.asarray, evaluated(*stacked))
+        for i in range(min(TOGETHER, len(at) - begin)):
+            yield jax.tree.map(lambda leaf, i=i: leaf[i], found)
+
+
+def _noise(found: Evaluation, measured, kind: NoiseModel, n: int) -> Noise:
     """Estimated from residuals, as in a fit."""
     residuals = np.asarray(found.fitted[0]) - measured[0]
     channels, samples = residuals.shape
@@ -109,8 +129,6 @@ def _noise(model: Model, found: Evaluation, measured, kind: NoiseModel, n: int) 
 
 
 def _of(model: Model, measured) -> Model:
-    import equinox as eqx
-
     return eqx.tree_at(lambda m: [one.measured for one in m.comparisons], model, list(measured))
 
 
