@@ -16,11 +16,11 @@ test: $(VENV)/.installed-test
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/pyright --pythonpath $(BIN)/python
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 # Figures of accuracy beside the papers' and beside other programs', some of which only the tests bring.
 validate: $(VENV)/.installed-test
-	$(BIN)/pytest -n 2 -m long
+	XLA_FLAGS= $(BIN)/pytest -n 2 --dist worksteal -m long
 	$(BIN)/python -m benchmarks.validate
 
 # Figures of speed.

@@ -1,5 +1,6 @@
 """Tests run in float64, as the command line does, and leave the user's compilation cache alone."""
 
+import gc
 import os
 import shutil
 import tempfile
@@ -11,6 +12,16 @@ import jax
 import pytest
 
 jax.config.update("jax_enable_x64", True)
+
+QUICK = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+"""Nearly all of a test is making a program that then runs for milliseconds: left unoptimised it takes 40 % of that. What
+users have, optimised programs, is compared with it in `test_cli_simulate`, and is all that `make validate` has, which sets
+XLA_FLAGS. A process that is given a flag that XLA does not know ends at once: versions to come do without."""
+
+if jax.__version_info__ < (0, 11):
+    os.environ.setdefault("XLA_FLAGS", QUICK)
+
+gc.set_threshold(100_000, 20)  # traced programs are many small objects that live long: looking through them again is 5 %
 
 CACHE, FROM = "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 

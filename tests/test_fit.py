@@ -276,7 +276,7 @@ def test_an_optimum_behind_a_wall_of_failures_is_no_answer(monkeypatch, rigid_tr
 
 def test_sweeps_are_raised_where_the_fit_needs_more():
     case = slot(mass=2.0, stiffness=2e6, duration=0.015, axes=("x",), sweeps=1)
-    trace = noisy(slot(mass=2.0, stiffness=2e6, duration=0.015, axes=("x",), sweeps=9), ("Fx", "x"))
+    trace = noisy(case.with_settings(sweeps=3), ("Fx", "x"))
     result = fit(case, trace, ["force.k0"])
     assert result.success, result.message
     assert result.case.settings.sweeps > 1
