@@ -22,6 +22,8 @@ SUBJECTS = {
     "recovery": "Recovering known parameters",
     "compliances": "Recovering joint compliances",
     "instrument": "Traces of an instrument",
+    "coverage": "Honest intervals",
+    "fits": "Fits from many starts, and in little time",
     "stability": "Limits of stability",
     "robot": "The robot at the tool",
     "programs": "Programs",

@@ -9,9 +9,9 @@
 # %% [markdown]
 # # How sure is a coefficient?
 #
-# **Question.** A fit gives `k0 = 4915 ± 545 N/mm²`. When is that to be believed? Five things may be wrong with it: the optimum
-# is not the best one, the likelihood is no parabola, the noise is not white, a few samples are far off, or nothing of it was
-# to be known in the first place.
+# **Question.** A fit gives `k0 = 4915 ± 545 N/mm²`. When is that to be believed? Five things may be wrong with it: the
+# optimum is not the best one, the likelihood is no parabola, the noise is not white, a few samples are far off, or nothing of
+# it was to be known in the first place.
 #
 # The trace is synthetic, a short cut with a rigid tool: its truth is known.
 
@@ -61,9 +61,9 @@ for e in found.parameters:
 # %% [markdown]
 # ## Is the likelihood a parabola?
 #
-# A profile holds one parameter beside its estimate and fits the others again. Were standard errors the whole truth, the root of
-# the rise of the cost would be a straight line. For `hs` it is not: its interval reaches farther down than up. The interval by
-# covariance is symmetric in the logarithm, since `hs` is positive, and comes out too high at both ends.
+# A profile holds one parameter beside its estimate and fits the others again. Were standard errors the whole truth, the root
+# of the rise of the cost would be a straight line. For `k0` and `hs` it is not: the farther from the estimate, the more it
+# bends, and the intervals of both kinds differ at their ends.
 
 # %%
 profiles = {one.name: one for one in profile(found)}
@@ -85,8 +85,8 @@ assert all(p.ci95[0] < truth[name] < p.ci95[1] for name, p in profiles.items())
 # ## Is the noise white?
 #
 # Amplifiers, filters and vibrations of a machine make noise that remembers. Here each sample keeps 0.9 of the last one.
-# Least squares is still right on average, but its usual standard error is too small. `fit` looks at what is left, says so and
-# widens; with `NoiseModel(order=1)` the correlation is part of the fit, which then knows more.
+# Least squares is still right on average, but its usual standard error is too small. `fit` looks at what is left, says so
+# and widens; with `NoiseModel(order=1)` the correlation is part of the fit, which then knows more.
 
 # %%
 remembered = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.normal(size=clean.shape), axis=0) * 2.0
@@ -120,8 +120,8 @@ assert robust["force.kr"].std < 0.3 * squares["force.kr"].std
 # %% [markdown]
 # ## Pitfalls
 #
-# - An interval rests on the model being right. What the model misses is no noise: look at the spectrum of the residuals in the
-#   report, and at lines in it.
+# - An interval rests on the model being right. What the model misses is no noise: look at the spectrum of the residuals in
+#   the report, and at lines in it.
 # - A profile is as good as the optimum it starts from: fit from several starts first.
 # - Widened intervals allow for correlation in time within a channel, not between channels.
 # - Where a posterior is skewed, draw from it: `identification.sample`.

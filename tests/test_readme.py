@@ -1,5 +1,6 @@
 """What the README says can be done."""
 
+import ast
 import contextlib
 import io
 import re
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 import millax as mx
-from identification import Parameter, load_fit, synthetic_trace
+from identification import NoiseModel, Parameter, load_fit, synthetic_trace
+from identification._asked import Options
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -22,11 +24,12 @@ def blocks(language: str) -> list[str]:
 
 def test_the_examples_run(monkeypatch):
     monkeypatch.chdir(ROOT)
-    fitting, sweeping = blocks("python")
+    fitting, sure, sweeping = blocks("python")
     names = {}
     with contextlib.redirect_stdout(io.StringIO()) as out:
         exec(fitting, names)
     assert "force.k0 = 51" in out.getvalue()
+    assert isinstance(ast.parse(sure), ast.Module)  # it takes a while, and its parts are tested by themselves
     with contextlib.redirect_stdout(io.StringIO()) as out:
         exec(sweeping, names)
     assert "thickest_chip" in names["result"]
@@ -46,6 +49,27 @@ def test_the_tables_of_a_fit_are_accepted(tmp_path):
     (tmp_path / "case.toml").write_text(case + fit, encoding="utf-8")
     problem = load_fit(tmp_path / "case.toml")
     assert {p.name for p in problem.parameters} == {"force.k0", "force.kr", "structure.damping_ratio.x"}
+
+
+@pytest.mark.long
+def test_the_example_of_starts_and_profiles_runs(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    fitting, sure, _ = blocks("python")
+    names = {}
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        exec(fitting, names)
+        exec(sure, names)
+    assert "8 of 8 starts reached the best optimum" in out.getvalue()
+    assert "force.hs (" in out.getvalue()
+
+
+def test_what_is_said_of_how_to_fit_is_accepted(tmp_path):
+    case, free, _, how, *_ = blocks("toml")
+    rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
+    (tmp_path / "trace.csv").write_text("\n".join(["time [ms],Fx [N],Fy [N],x [um],y [um]", *rows]), encoding="utf-8")
+    (tmp_path / "case.toml").write_text(case + free.replace("[fit.free]", how + "[fit.free]"), encoding="utf-8")
+    options = load_fit(tmp_path / "case.toml").options
+    assert options == Options(NoiseModel("student", order=2), "scipy_trf", 20, 5, 0, True, 2000)
 
 
 def test_what_measured_a_trace_can_be_said_and_be_free(tmp_path):

@@ -9,18 +9,43 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import millax as mx
-from identification import fit, load_fit
+from identification import Parameter, Trace, fit, load_fit
 from identification._compare import compare
 from identification._parameters import free
-from millax._names import replace
+from millax._names import replace, value_of
 
-from ..figures import Figure
+from ..figures import Figure, below
+from ..slot import slot
 from .run import Run
 
 DEMO = Path(__file__).resolve().parents[2] / "data_synthetic" / "kr240_slot.toml"
 
 
+NAMES = ("force.k0", "force.hs", "force.r", "force.kr", "structure.damping_ratio.x", "structure.stiffness.x")
+NOISE = {"Fx": 2.0, "Fy": 2.0, "x": 1e-6, "y": 1e-6}
+
+
 def figures(run: Run):
+    yield from _one_second()
+    yield from _beside_scipy()
+
+
+def _one_second():
+    """Six parameters, each guess wrong by a factor of two, from 1 s of cutting at every step of the simulation."""
+    case = slot(duration=1.0)
+    sim = mx.simulate(case)
+    clean, sigma = np.column_stack([sim.force[:, :2], sim.displacement]), np.array(list(NOISE.values()))
+    noisy = clean + sigma * np.random.default_rng(0).normal(size=clean.shape)
+    trace = Trace(np.asarray(sim.time), tuple(NOISE), noisy, NOISE)
+    wrong = zip(NAMES, (2, 0.5, 2, 0.5, 2, 0.5), strict=True)
+    parameters = [Parameter(name, factor * value_of(case, name)) for name, factor in wrong]
+    result, seconds, first = _twice(lambda: fit(case, trace, parameters))
+    what = f"fit of {len(NAMES)} parameters to 1 s, {trace.values.shape[0]} samples of 4 channels"
+    yield below(f"{what}: time, compiled before ({result.iterations} evaluations)", seconds, 2.0, form=".2f", unit=" s")
+    yield below(f"{what}: the first time, compilation included", first, 15.0, form=".1f", unit=" s")
+
+
+def _beside_scipy():
     problem = load_fit(DEMO)
     ours, seconds, first = _twice(lambda: fit(problem.cases, problem.traces, problem.parameters))
     (theirs, simulations), scipy_seconds, _ = _twice(_scipy(problem, ours.case.settings.sweeps))
