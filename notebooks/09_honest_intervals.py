@@ -10,8 +10,8 @@
 # # How sure is a coefficient?
 #
 # **Question.** A fit gives `k0 = 4915 ± 545 N/mm²`. When is that to be believed? Five things may be wrong with it: the
-# optimum is not the best one, the likelihood is no parabola, the noise is not white, a few samples are far off, or nothing of
-# it was to be known in the first place.
+# optimum is not the best one, the likelihood is no parabola, the noise is not white, a few samples are far off, or nothing
+# of it was to be known in the first place.
 #
 # The trace is synthetic, a short cut with a rigid tool: its truth is known.
 

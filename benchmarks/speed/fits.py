@@ -32,7 +32,7 @@ def figures(run: Run):
 
 def _one_second():
     """Six parameters, each guess wrong by a factor of two, from 1 s of cutting at every step of the simulation."""
-    case = slot(duration=1.0)
+    case = slot(stiffness=[3e5, 3e5], damping_ratio=[0.05, 0.05], duration=1.0)
     sim = mx.simulate(case)
     clean, sigma = np.column_stack([sim.force[:, :2], sim.displacement]), np.array(list(NOISE.values()))
     noisy = clean + sigma * np.random.default_rng(0).normal(size=clean.shape)
