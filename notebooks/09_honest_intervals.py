@@ -105,7 +105,8 @@ assert widened["force.kr"].widened > 2
 # %% [markdown]
 # ## Are there outliers?
 #
-# Two samples in a hundred are off by 100 N: chips, a loose cable. Squares follow them; Student's t lets them be.
+# Two samples in a hundred are off by 100 N: chips, a loose cable. Squares follow them, and where they leave a number open they
+# say so; Student's t lets them be.
 
 # %%
 shocks = np.where(rng.random(clean.shape) < 0.02, 100.0, 0.0)
@@ -113,7 +114,8 @@ spoilt = Trace(time, ("Fx", "Fy"), trace.values + shocks)
 squares, robust = fit(case, spoilt, guesses), fit(case, spoilt, guesses, noise=NoiseModel("student"))
 for name, value in truth.items():
     a, b = squares[name], robust[name]
-    print(f"{name}: true {value:.3g}; squares {a.value:.3g} ± {a.std:.2g}; Student's t {b.value:.3g} ± {b.std:.2g}")
+    known = f"{a.value:.3g} ± {a.std:.2g}" if a.std else "not known"
+    print(f"{name}: true {value:.3g}; squares {known}; Student's t {b.value:.3g} ± {b.std:.2g}")
 assert abs(robust["force.kr"].value - 0.3) < 4 * robust["force.kr"].std
 assert robust["force.kr"].std < 0.3 * squares["force.kr"].std
 
