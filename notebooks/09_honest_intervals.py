@@ -105,8 +105,8 @@ assert widened["force.kr"].widened > 2
 # %% [markdown]
 # ## Are there outliers?
 #
-# Two samples in a hundred are off by 100 N: chips, a loose cable. Squares follow them, and where they leave a number open they
-# say so; Student's t lets them be.
+# Two samples in a hundred are off by 100 N: chips, a loose cable. Squares follow them, and where they leave a number open
+# they say so; Student's t lets them be.
 
 # %%
 shocks = np.where(rng.random(clean.shape) < 0.02, 100.0, 0.0)
