@@ -14,7 +14,6 @@ from millax import STATUS, Case, simulate, spectral_radius
 from millax._gain import RERUNS
 from millax._members import SPINDLE_SPEED, Members, member
 from millax._plan import Group, plan
-from millax._program import BATCH
 from millax._steady import seen
 from millax._sweep import available_memory
 
@@ -25,6 +24,9 @@ from ._traces import Trace
 
 UNFIT = -1
 """The status of a candidate that is not simulated; its reason says why."""
+
+BATCH = 8
+"""Candidates computed at once, each as often as there are coordinates. Always so many, that one program serves any grid."""
 
 TRACES = 30
 """Arrays as long as a trace that a simulation and the comparison with one need, about."""
@@ -54,7 +56,7 @@ def told(
     place: int,
     which: tuple[int, ...],
     recording: Trace,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] | None,
 ) -> Told:
     """Simulate `members` of `case`, which is the one at `place` of the free `numbers`, at y = 0, and how what they would be
     recorded with changes with the coordinates `which`.
@@ -166,10 +168,12 @@ def _in_batches(run, case: Case, found: np.ndarray, batch: int, progress) -> tup
         again = np.flatnonzero(status == 1)
         for start in range(0, len(again), batch):
             # Filled up with its last member, so that one shape is compiled.
-            part = again[np.minimum(np.arange(start, start + min(batch, len(found))), len(again) - 1)]
-            found[part], status[part] = run(case.with_settings(sweeps=case.settings.sweeps * 2**rerun), part)
-            progress(min(start + batch, len(again)), len(again))
-    status = np.where((status == 0) & ~np.isfinite(found).all(axis=(1, 2, 3)), 3, status)
+            part = again[np.minimum(np.arange(start, start + batch), len(again) - 1)]
+            triangles, code = run(case.with_settings(sweeps=case.settings.sweeps * 2**rerun), part)
+            finite = np.isfinite(triangles).all(axis=(1, 2, 3))
+            found[part], status[part] = triangles, np.where(~finite & (np.asarray(code) <= 1), 3, code)
+            if progress is not None:
+                progress(min(start + batch, len(again)), len(again))
     found[status != 0] = np.nan
     return found, status
 

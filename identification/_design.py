@@ -6,7 +6,7 @@ together will reach is the inverse of the sum (Cramer and Rao's bound, which lea
 linear within the errors). Optimal design of experiments: Fedorov, Theory of Optimal Experiments, 1972.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,9 +17,9 @@ import numpy as np
 from millax import STATUS, Case
 from millax._members import FEED_PER_TOOTH, Members, members_of
 from millax._runtime import double_precision
-from millax._units import express
 from millax._values import Given
 
+from ._aim import CRITERIA, Aim, Prediction
 from ._candidates import UNFIT, Told, told
 from ._identifiability import at_guess, whitened
 from ._information import Knowledge, added, knowledge, marginal
@@ -28,45 +28,9 @@ from ._parameters import FreeParameters, Parameter, Tie, free
 from ._question import question
 from ._recording import Recording
 from ._traces import Trace
-from ._uncertainty import UNKNOWN
 
 if TYPE_CHECKING:
     import xarray
-
-CRITERIA = {
-    "D": "geometric mean of the standard errors along the axes of the ellipsoid of confidence, relative",
-    "A": "root mean square of the standard errors over the values",
-}
-"""What is made small, apart from the standard error of one parameter."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What will be known after a cut; or today.
-
-    - `cut`: the varied numbers of the cut and their units, empty for today.
-    - `std`: standard error of each parameter, in the unit of the parameter; None where it is not known then.
-    - `left`: combinations of parameters (for the criterion "A" parameters) that are left open.
-    - `uncertainty`: what the criterion makes small, of all that is not left open; infinite where that is nothing.
-    """
-
-    cut: Mapping[str, tuple[float, str]]
-    std: Mapping[str, float | None]
-    left: int
-    uncertainty: float
-
-    @property
-    def words(self) -> str:
-        """The cut, for a person: "cut.spindle_speed = 8000 rpm, cut.depth = 2 mm"."""
-        return ", ".join(f"{name} = {value:.6g} {unit}".strip() for name, (value, unit) in self.cut.items())
-
-    def known_since(self, earlier: "Prediction") -> list[str]:
-        """The parameters that are known now and were not."""
-        return [name for name, std in self.std.items() if std is not None and earlier.std[name] is None]
-
-    def shrinks(self, earlier: "Prediction") -> float:
-        """By which factor the uncertainty is smaller than it was; infinite where it had no bound."""
-        return earlier.uncertainty / self.uncertainty if earlier.left <= self.left else np.inf
 
 
 @dataclass(frozen=True)
@@ -143,100 +107,44 @@ def design(
     earlier = asked.cases if asked else ()
     numbers, place = free((*earlier, case), [Parameter(p) if isinstance(p, str) else p for p in parameters]), len(earlier)
     members = _candidates(case, grid, numbers)
-    shared = np.array([at is None for at in numbers.places])
-    aim = _Aim(numbers, np.flatnonzero(shared), criterion)
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise ValueError(f"count: {count!r} given; it must be a whole number of at least 1")
+    shared, here = (np.array([at in which for at in numbers.places]) for which in ((None,), (None, place)))
+    aim = Aim(numbers, np.flatnonzero(shared), criterion)
     blank = (recording or Recording()).blank([one for one in measured if isinstance(one, Trace)])
-    here = np.array([at in (None, place) for at in numbers.places])
-    prior = _prior(numbers)
+    prior = np.asarray(jax.jacfwd(numbers.prior)(jnp.zeros(len(numbers)))).reshape(-1, len(numbers))
     if asked:
-        own = np.array([at is None for at in asked.numbers.places])
-        factor = marginal(whitened(asked, at_guess(asked)), own)
+        factor = marginal(whitened(asked, at_guess(asked)), np.array([at is None for at in asked.numbers.places]))
     else:
-        factor = marginal(prior[:, shared], np.ones(shared.sum(), bool))
-    new = told(
-        case, members, numbers, place, tuple(map(int, np.flatnonzero(here))), blank, progress or (lambda done, total: None)
-    )
+        factor = marginal(prior, shared)
+    new = told(case, members, numbers, place, tuple(map(int, np.flatnonzero(here))), blank, progress)
     ranked = np.flatnonzero(new.status == 0)
-    # Of the priors those of the cut's own numbers: what is known of the shared ones is in `factor`.
-    prior = prior[~prior[:, shared].any(axis=1)][:, here]
     sigma = np.array([blank.noise[channel] for channel in blank.channels])
-    rows = (new.triangles[ranked] / sigma[:, None, None]).reshape(len(ranked), -1, here.sum())
-    factors = np.array([marginal(np.concatenate([one, prior]), shared[here]) for one in rows])
-    factors = factors.reshape(len(ranked), shared.sum(), shared.sum())
+    # What is known beforehand of the shared numbers is in `factor`.
+    own = prior[~prior[:, shared].any(axis=1)][:, here]
+    factors = np.empty((len(ranked), shared.sum(), shared.sum()))
+    for i, triangles in enumerate(new.triangles[ranked]):
+        rows = (triangles / sigma[:, None, None]).reshape(-1, here.sum())
+        factors[i] = marginal(np.concatenate([rows, own]), shared[here])
     after = knowledge(added(factor, factors))
-    order = aim.order(after)
     return Design(
         parameters=aim.names,
         units=aim.units,
         values=aim.values,
         criterion=criterion,
-        today=aim.prediction(knowledge(factor)),
+        today=aim.prediction(knowledge(factor), {}),
         next=tuple(_sequence(aim, members, factor, factors, ranked, count)),
-        ranking=tuple(aim.prediction(after, i, _cut(members, int(ranked[i]))) for i in order),
+        ranking=tuple(aim.prediction(after.of(i), _cut(members, int(ranked[i]))) for i in aim.order(after)),
         table=_table(aim, members, new, ranked, after),
     )
 
 
-class _Aim:
-    """What the criterion makes small: the parameters that all cuts share, at the coordinates `of`."""
-
-    def __init__(self, numbers: FreeParameters, of: np.ndarray, criterion: str):
-        if not len(of):
-            raise ValueError(
-                "every parameter has a value of its own in each trace (each = true): a new cut tells nothing of the others"
-            )
-        y = jnp.zeros(len(numbers))
-        values, slopes = np.asarray(numbers.values(y))[of], np.asarray(numbers.slopes(y))[of]
-        self.names = tuple(numbers.names[i] for i in of)
-        self.units = tuple(numbers.units[i] for i in of)
-        self.values = tuple(express(value, unit) for value, unit in zip(values, self.units, strict=True))
-        self.shown = np.array([express(slope, unit) for slope, unit in zip(slopes, self.units, strict=True)])
-        self.relative = np.where(values != 0, slopes / np.where(values != 0, np.abs(values), 1.0), 1.0)
-        if criterion not in CRITERIA and criterion not in self.names:
-            raise ValueError(
-                f'criterion: "{criterion}" given; it must be D, A or the name of a parameter: {", ".join(self.names)}'
-            )
-        self.criterion = criterion
-
-    def judged(self, known: Knowledge) -> tuple[np.ndarray, np.ndarray]:
-        """What is left open, and what is made small."""
-        if self.criterion == "D":
-            return known.left, known.radius
-        if self.criterion in self.names:
-            std = known.std[..., self.names.index(self.criterion)]
-            return np.isinf(std).astype(int), std * self.shown[self.names.index(self.criterion)]
-        found = np.isfinite(known.std)
-        squares = np.where(found, known.std * self.relative, 0.0) ** 2
-        number = found.sum(axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mean = np.where(number > 0, np.sqrt(squares.sum(axis=-1) / number), np.inf)
-        return (~found).sum(axis=-1), mean
-
-    def order(self, known: Knowledge) -> np.ndarray:
-        """Candidates, the best first; of equal ones the first."""
-        left, uncertainty = self.judged(known)
-        return np.lexsort((uncertainty, left))
-
-    def prediction(self, known: Knowledge, i: int | tuple = (), cut: Mapping[str, tuple[float, str]] | None = None):
-        """Of one of those in the batch."""
-        left, uncertainty = (column[i] for column in self.judged(known))
-        std = zip(self.names, known.std[i], self.shown, strict=True)
-        return Prediction(
-            cut=cut or {},
-            std={name: float(s * scale) if s <= UNKNOWN else None for name, s, scale in std},
-            left=int(left),
-            uncertainty=float(uncertainty),
-        )
-
-
-def _sequence(aim: _Aim, members: Members, factor, factors, ranked, count: int):
-    """The best cut, then the best after it, ..."""
+def _sequence(aim: Aim, members: Members, factor, factors, ranked, count: int) -> Iterator[Prediction]:
+    """The best cut, then the best after it, and so on."""
     for _ in range(count if len(ranked) else 0):
         after = knowledge(added(factor, factors))
         best = aim.order(after)[0]
-        yield aim.prediction(after, best, _cut(members, int(ranked[best])))
+        yield aim.prediction(after.of(best), _cut(members, int(ranked[best])))
         factor = added(factor, factors[best])
 
 
@@ -254,11 +162,6 @@ def _candidates(case: Case, grid: Mapping[str, Given], numbers: FreeParameters) 
     return members
 
 
-def _prior(numbers: FreeParameters) -> np.ndarray:
-    """The Jacobian of what is known beforehand, in standard deviations of it."""
-    return np.asarray(jax.jacfwd(numbers.prior)(jnp.zeros(len(numbers)))).reshape(-1, len(numbers))
-
-
 def _cut(members: Members, i: int) -> dict[str, tuple[float, str]]:
     """What is varied of a candidate, as it was given."""
     at = dict(zip(members.dims, np.unravel_index(i, members.shape), strict=True))
@@ -268,7 +171,7 @@ def _cut(members: Members, i: int) -> dict[str, tuple[float, str]]:
     }
 
 
-def _table(aim: _Aim, members: Members, new: Told, ranked: np.ndarray, after: Knowledge) -> "xarray.Dataset":
+def _table(aim: Aim, members: Members, new: Told, ranked: np.ndarray, after: Knowledge) -> "xarray.Dataset":
     import xarray
 
     left, uncertainty = aim.judged(after)
@@ -289,7 +192,7 @@ def _table(aim: _Aim, members: Members, new: Told, ranked: np.ndarray, after: Kn
             {"long_name": "standard error after this cut, in the unit of the parameter; infinite where it is left open"},
         ),
         "uncertainty": (dims, over_grid(uncertainty), {"units": unit, "long_name": what}),
-        "left_open": (dims, over_grid(left), {"units": "", "long_name": "combinations of parameters that stay unknown"}),
+        "left_open": (dims, over_grid(left), {"units": "", "long_name": "how much stays unknown"}),
         "status": (
             dims,
             new.status.reshape(members.shape).astype(np.int8),

@@ -26,6 +26,10 @@ class Knowledge(NamedTuple):
     left: Int[np.ndarray, "..."]
     radius: Float[np.ndarray, "..."]
 
+    def of(self, i: int) -> "Knowledge":
+        """Of one of a batch."""
+        return Knowledge(*(column[i] for column in self))
+
 
 def knowledge(factors: Float[np.ndarray, "... rows n"]) -> Knowledge:
     """What the information of `factors` says. A combination counts as open, and a parameter in it, as in `_uncertainty`."""

@@ -83,8 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     design = commands.add_parser(
         "design",
         help="the next cut: which one would tell most",
-        description="Of all combinations of the numbers to vary, the cut that would make the parameters in the [fit] table of "
-        "a case file best known, together with what was measured already; with what standard errors, before it is made. "
+        description="Of all combinations of the numbers to vary, the cut that would make the parameters in the [fit] "
+        "table of a case file best known, together with what was measured already, and how well, before it is made. "
         "Writes design.nc (labelled results) and design.png. Exit code 1 where no candidate can be ranked.",
     )
     _add_paths(design)
@@ -93,8 +93,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUES",
         action="append",
         required=True,
-        help='what can be chosen: "cut.spindle_speed=4000:16000:13 rpm" (from, to, how many), "cut.depth=0.5,1,2 mm" (a list) '
-        'or one value; "robot.joints.joint_2=-80:-40:5 deg". May be repeated',
+        help='what can be chosen: "cut.spindle_speed=4000:16000:13 rpm" (from, to, how many), "cut.depth=0.5,1,2 mm" '
+        '(a list) or one value; "robot.joints.joint_2=-80:-40:5 deg". May be repeated',
     )
     design.add_argument(
         "--criterion",
@@ -114,8 +114,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help='standard deviation of the noise of a channel, "Fx=2 N". May be repeated (default: as in the traces; where it is '
-        "not known, 1 %% of the root mean square of the channel)",
+        help='standard deviation of the noise of a channel, "Fx=2 N". May be repeated (default: as in the traces; where it '
+        "is not known, 1 %% of the root mean square of the channel)",
     )
     design.set_defaults(run=_design)
 
