@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ._align import align
-    from ._design import Design, Prediction, design
+    from ._design import Design, Forecast, design
     from ._fit import Progress, fit
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
@@ -35,11 +35,11 @@ __all__ = [
     "Finding",
     "FitProblem",
     "FitResult",
+    "Forecast",
     "LoadTest",
     "MeanForceFit",
     "NoiseModel",
     "Parameter",
-    "Prediction",
     "Prior",
     "Profile",
     "Progress",
@@ -65,7 +65,7 @@ __all__ = [
 
 _HOMES = {
     "_align": ("align",),
-    "_design": ("Design", "Prediction", "design"),
+    "_design": ("Design", "Forecast", "design"),
     "_fit": ("Progress", "fit"),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),

@@ -20,7 +20,7 @@ CRITERIA = {
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Forecast:
     """What will be known after a cut; or today.
 
     - `cut`: the varied numbers of the cut and their units, empty for today.
@@ -40,11 +40,11 @@ class Prediction:
         """The cut, for a person: "cut.spindle_speed = 8000 rpm, cut.depth = 2 mm"."""
         return ", ".join(f"{name} = {value:.6g} {unit}".strip() for name, (value, unit) in self.cut.items())
 
-    def known_since(self, earlier: "Prediction") -> list[str]:
+    def known_since(self, earlier: "Forecast") -> list[str]:
         """The parameters that are known now and were not."""
         return [name for name, std in self.std.items() if std is not None and earlier.std[name] is None]
 
-    def shrinks(self, earlier: "Prediction") -> float:
+    def shrinks(self, earlier: "Forecast") -> float:
         """By which factor the uncertainty is smaller than it was; infinite where less is left open."""
         return earlier.uncertainty / self.uncertainty if earlier.left <= self.left else np.inf
 
@@ -89,11 +89,11 @@ class Aim:
         left, uncertainty = self.judged(known)
         return np.lexsort((uncertainty, left))
 
-    def prediction(self, known: Knowledge, cut: Mapping[str, tuple[float, str]]) -> Prediction:
+    def forecast(self, known: Knowledge, cut: Mapping[str, tuple[float, str]]) -> Forecast:
         """In words and units; `known` is no batch."""
         left, uncertainty = self.judged(known)
         std = zip(self.names, known.std, self.shown, strict=True)
-        return Prediction(
+        return Forecast(
             cut=cut,
             std={name: float(s * scale) if s <= UNKNOWN else None for name, s, scale in std},
             left=int(left),

@@ -19,9 +19,9 @@ from millax._members import FEED_PER_TOOTH, Members, members_of
 from millax._runtime import double_precision
 from millax._values import Given
 
-from ._aim import CRITERIA, Aim, Prediction
+from ._aim import CRITERIA, Aim, Forecast
 from ._candidates import UNFIT, Told, told
-from ._identifiability import at_guess, whitened
+from ._identifiability import assumed, at_guess
 from ._information import Knowledge, added, knowledge, marginal
 from ._loadtest import LoadTest
 from ._parameters import FreeParameters, Parameter, Tie, free
@@ -51,12 +51,12 @@ class Design:
     units: tuple[str, ...]
     values: tuple[float, ...]
     criterion: str
-    today: Prediction
-    next: tuple[Prediction, ...]
-    ranking: tuple[Prediction, ...]
+    today: Forecast
+    next: tuple[Forecast, ...]
+    ranking: tuple[Forecast, ...]
     table: "xarray.Dataset"
 
-    def best(self, n: int = 5) -> tuple[Prediction, ...]:
+    def best(self, n: int = 5) -> tuple[Forecast, ...]:
         """The n best candidates, each for itself."""
         return self.ranking[:n]
 
@@ -114,7 +114,8 @@ def design(
     blank = (recording or Recording()).blank([one for one in measured if isinstance(one, Trace)])
     prior = np.asarray(jax.jacfwd(numbers.prior)(jnp.zeros(len(numbers)))).reshape(-1, len(numbers))
     if asked:
-        factor = marginal(whitened(asked, at_guess(asked)), np.array([at is None for at in asked.numbers.places]))
+        jacobian = at_guess(asked).whitened(assumed(asked))[:, :-1]
+        factor = marginal(jacobian, np.array([at is None for at in asked.numbers.places]))
     else:
         factor = marginal(prior, shared)
     new = told(case, members, numbers, place, tuple(map(int, np.flatnonzero(here))), blank, progress)
@@ -132,19 +133,19 @@ def design(
         units=aim.units,
         values=aim.values,
         criterion=criterion,
-        today=aim.prediction(knowledge(factor), {}),
+        today=aim.forecast(knowledge(factor), {}),
         next=tuple(_sequence(aim, members, factor, factors, ranked, count)),
-        ranking=tuple(aim.prediction(after.of(i), _cut(members, int(ranked[i]))) for i in aim.order(after)),
+        ranking=tuple(aim.forecast(after.of(i), _cut(members, int(ranked[i]))) for i in aim.order(after)),
         table=_table(aim, members, new, ranked, after),
     )
 
 
-def _sequence(aim: Aim, members: Members, factor, factors, ranked, count: int) -> Iterator[Prediction]:
+def _sequence(aim: Aim, members: Members, factor, factors, ranked, count: int) -> Iterator[Forecast]:
     """The best cut, then the best after it, and so on."""
     for _ in range(count if len(ranked) else 0):
         after = knowledge(added(factor, factors))
         best = aim.order(after)[0]
-        yield aim.prediction(after.of(best), _cut(members, int(ranked[best])))
+        yield aim.forecast(after.of(best), _cut(members, int(ranked[best])))
         factor = added(factor, factors[best])
 
 

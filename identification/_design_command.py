@@ -12,7 +12,7 @@ from rich.table import Table
 from millax import CaseError, CaseFile
 
 from ._asked import asked_in
-from ._design import Design, Prediction, design
+from ._design import Design, Forecast, design
 from ._fitfile import load_fit, measured_in
 from ._measured import TraceError
 from ._output import complain, console, staged
@@ -95,7 +95,7 @@ def _question(file: CaseFile, path: str | os.PathLike):
     if measured_in(file.tables):
         problem = load_fit(path)
         return problem.cases, problem.traces, problem.parameters
-    return None, (), asked_in(file)[0]
+    return None, (), asked_in(file).parameters
 
 
 def _noise(text: str) -> tuple[str, str]:
@@ -140,7 +140,7 @@ def _show(result: Design) -> None:
     console.print("Derivatives are those at the values above: with better ones, ask again.", markup=False)
 
 
-def _gain(result: Design, earlier: Prediction, after: Prediction) -> str:
+def _gain(result: Design, earlier: Forecast, after: Forecast) -> str:
     """What a cut brings, in words."""
     found = after.known_since(earlier)
     words = [f"It makes known: {', '.join(found)}."] if found else []

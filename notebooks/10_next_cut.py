@@ -55,9 +55,9 @@ for e in known.parameters:
 #
 # ## What each candidate would tell
 #
-# The information of the first cut is $J^\top J$, with $J$ the derivatives of its trace in units of the noise. A candidate adds
-# its own, $J_c^\top J_c$, which needs no measurement, only the model at the estimates. The volume of the ellipsoid of confidence
-# after both, $\det(J^\top J + J_c^\top J_c)^{-1/2}$, is what D-optimal design makes small.
+# The information of the first cut is $J^\top J$, with $J$ the derivatives of its trace in units of the noise. A candidate
+# adds its own, $J_c^\top J_c$, which needs no measurement, only the model at the estimates. The volume of the ellipsoid of
+# confidence after both, $\det(J^\top J + J_c^\top J_c)^{-1/2}$, is what D-optimal design makes small.
 
 # %%
 grid = {"cut.feed_per_tooth": "0.02:0.2:10 mm", "cut.depth": "0.5, 1, 1.5, 2 mm"}
@@ -117,10 +117,10 @@ plt.show()
 # %% [markdown]
 # ## Pitfalls
 #
-# - The forecast is that of a right model. A thick chip that breaks the tool, a spindle that cannot hold the speed, a law that
-#   is another one there: the design does not know. Leave out of the grid what cannot be done.
+# - The forecast is that of a right model. A thick chip that breaks the tool, a spindle that cannot hold the speed, a law
+#   that is another one there: the design does not know. Leave out of the grid what cannot be done.
 # - Derivatives are those at the estimates. Where these are poor, ask again after the cut.
-# - A candidate that chatters is left out: its derivatives grow with the vibration, and promise what noise and a model that is
-#   a little wrong take back.
-# - White noise, sampled twice as fast, would be worth twice the measurements. Give the noise at the rate at which you sample.
+# - A candidate that chatters is left out: its derivatives grow with the vibration, and promise what a model that is a
+#   little wrong takes back.
+# - White noise, sampled twice as fast, would be worth twice the measurements. Give the noise at the rate of your samples.
 # - The best of a grid is often at its end, as here. The end is a decision too.

@@ -10,7 +10,7 @@ import xarray
 from cases import ENDLESS, SLOT_FILE, slot
 
 import millax as mx
-from identification import Parameter, Prediction, Prior, Recording, check, design, synthetic_trace
+from identification import Forecast, Parameter, Prior, Recording, check, design, synthetic_trace
 from identification._information import added, knowledge, marginal
 from identification._uncertainty import RANK
 from identification.cli import main
@@ -36,9 +36,9 @@ def cut(feed_per_tooth, depth) -> mx.Case:
     return member(CASE, (FEED_PER_TOOTH, "cut.depth"), jnp.array([feed_per_tooth, depth]))
 
 
-def chosen(prediction: Prediction) -> tuple[float, ...]:
+def chosen(forecast: Forecast) -> tuple[float, ...]:
     """Feed per tooth and depth [m]."""
-    return tuple(1e-3 * value for value, _ in prediction.cut.values())
+    return tuple(1e-3 * value for value, _ in forecast.cut.values())
 
 
 def information(case, names=LAW) -> np.ndarray:

@@ -85,8 +85,8 @@ def _poses() -> Iterator[Figure]:
     yield near(f"{POSE_SEEDS} fits with the best pose: errors of nine numbers over those predicted", _rms(errors), 1.0, 0.25)
 
 
-def _known(prediction: ident.Prediction, name: str) -> str:
-    std = prediction.std[name]
+def _known(forecast: ident.Forecast, name: str) -> str:
+    std = forecast.std[name]
     return "not known" if std is None else f"± {100 * std / TRUTH[name]:.2g} %"
 
 
