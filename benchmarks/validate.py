@@ -24,6 +24,7 @@ SUBJECTS = {
     "instrument": "Traces of an instrument",
     "coverage": "Honest intervals",
     "fits": "Fits from many starts, and in little time",
+    "design": "The next cut",
     "stability": "Limits of stability",
     "robot": "The robot at the tool",
     "programs": "Programs",

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ._align import align
+    from ._design import Design, Forecast, design
     from ._fit import Progress, fit
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from ._parameters import Parameter, Prior, Tie
     from ._profile import Profile, profile
     from ._quality import Finding, quality
+    from ._recording import Recording
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._solver import SOLVERS
     from ._starts import Waterfall
@@ -28,10 +30,12 @@ __all__ = [
     "Check",
     "Coefficient",
     "CutMeans",
+    "Design",
     "Estimate",
     "Finding",
     "FitProblem",
     "FitResult",
+    "Forecast",
     "LoadTest",
     "MeanForceFit",
     "NoiseModel",
@@ -40,6 +44,7 @@ __all__ = [
     "Profile",
     "Progress",
     "Prospect",
+    "Recording",
     "Tie",
     "Trace",
     "TraceError",
@@ -47,6 +52,7 @@ __all__ = [
     "Waterfall",
     "align",
     "check",
+    "design",
     "fit",
     "load_fit",
     "mean_force_fit",
@@ -59,6 +65,7 @@ __all__ = [
 
 _HOMES = {
     "_align": ("align",),
+    "_design": ("Design", "Forecast", "design"),
     "_fit": ("Progress", "fit"),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),
@@ -70,6 +77,7 @@ _HOMES = {
     "_parameters": ("Parameter", "Prior", "Tie"),
     "_profile": ("Profile", "profile"),
     "_quality": ("Finding", "quality"),
+    "_recording": ("Recording",),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_solver": ("SOLVERS",),
     "_starts": ("Waterfall",),

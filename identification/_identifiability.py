@@ -92,12 +92,17 @@ def check(
     at the guess, or the springs of a robot do not hold its loads.
     """
     asked = question(case, measured, parameters)
+    return checked(asked, at_guess(asked))
+
+
+def at_guess(asked: Question) -> Evaluation:
+    """The evaluation at the guess. Raises `SimulationError` where it cannot be used."""
     evaluation = evaluate(asked.model, NoiseModel().of(assumed(asked)), jnp.zeros(len(asked.numbers)))
     if status := int(evaluation.status):
         raise SimulationError(f"At the guess: {STATUS[status]}")
     if not np.isfinite(evaluation.triangles).all():
         raise SimulationError(f"At the guess: {not_finite(asked)}")
-    return checked(asked, evaluation)
+    return evaluation
 
 
 def assumed(asked: Question) -> Float[np.ndarray, " channels"]:

@@ -51,10 +51,10 @@ def run_sweep(
     file = CaseFile.read(case_path)
     start = time.perf_counter()
     try:
-        values: dict[str, Any] = dict(_split(text) for text in _distinct(vary))
+        values: dict[str, Any] = by_name(vary)
         if samples is not None:
             values = dict(sample(values, samples, seed=seed))
-        _hold_feed_per_tooth(file, values)
+        hold_feed_per_tooth(file, values)
         kept = None if reduce is None else [name.strip() for name in reduce.split(",")]
         varied = {"samples": values} if samples is not None else {"grid": values}
         with _client(cluster) as client, _progress() as progress:
@@ -70,12 +70,13 @@ def run_sweep(
     return _show(result, path, time.perf_counter() - start)
 
 
-def _distinct(vary: Sequence[str]) -> Sequence[str]:
+def by_name(vary: Sequence[str]) -> dict[str, str]:
+    """What --vary gives, the values by name. Raises `ValueError` for a text of another form and a name given twice."""
     names = [text.partition("=")[0].strip() for text in vary]
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"--vary {name}: given twice; give it once, with all its values")
-    return vary
+    return dict(_split(text) for text in vary)
 
 
 def _split(text: str) -> tuple[str, str]:
@@ -85,7 +86,7 @@ def _split(text: str) -> tuple[str, str]:
     return name.strip(), values.strip()
 
 
-def _hold_feed_per_tooth(file: CaseFile, values: dict[str, Any]) -> None:
+def hold_feed_per_tooth(file: CaseFile, values: dict[str, Any]) -> None:
     """A case file that gives the feed per tooth means it for every spindle speed; the case itself holds a feed rate."""
     given = file.tables["cut"].get("feed_per_tooth")
     if given is None or "cut.spindle_speed" not in values or {FEED_PER_TOOTH, "cut.feed_rate"} & set(values):

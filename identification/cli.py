@@ -80,6 +80,45 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("case", metavar="CASE.toml", help="the case file")
     check.set_defaults(run=_check)
 
+    design = commands.add_parser(
+        "design",
+        help="the next cut: which one would tell most",
+        description="Of all combinations of the numbers to vary, the cut that would make the parameters in the [fit] "
+        "table of a case file best known, together with what was measured already, and how well, before it is made. "
+        "Writes design.nc (labelled results) and design.png. Exit code 1 where no candidate can be ranked.",
+    )
+    _add_paths(design)
+    design.add_argument(
+        "--vary",
+        metavar="NAME=VALUES",
+        action="append",
+        required=True,
+        help='what can be chosen: "cut.spindle_speed=4000:16000:13 rpm" (from, to, how many), "cut.depth=0.5,1,2 mm" '
+        '(a list) or one value; "robot.joints.joint_2=-80:-40:5 deg". May be repeated',
+    )
+    design.add_argument(
+        "--criterion",
+        metavar="D|A|NAME",
+        default="D",
+        help="what to make small: D the volume of the ellipsoid of confidence (default), A the sum of squared relative "
+        "standard errors, or the standard error of one parameter, by its name",
+    )
+    design.add_argument("--count", metavar="N", type=int, default=1, help="plan N cuts, each the best after those before it")
+    design.add_argument(
+        "--channels", metavar="NAMES", help="what will be measured, Fx,Fy,x (default: as in the first trace)"
+    )
+    design.add_argument("--duration", metavar="TIME", help='of the recording, "0.3 s" (default: as the first trace)')
+    design.add_argument("--rate", metavar="RATE", help='of sampling, "10 kHz" (default: as of the first trace)')
+    design.add_argument(
+        "--noise",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help='standard deviation of the noise of a channel, "Fx=2 N". May be repeated (default: as in the traces; where it '
+        "is not known, 1 %% of the root mean square of the channel)",
+    )
+    design.set_defaults(run=_design)
+
     sweep = commands.add_parser(
         "sweep",
         help="simulate a cut many times with other numbers",
@@ -171,6 +210,22 @@ def _sweep(arguments: argparse.Namespace) -> int:
         reduce=arguments.reduce,
         overwrite=arguments.overwrite,
         cluster=arguments.cluster,
+    )
+
+
+def _design(arguments: argparse.Namespace) -> int:
+    from ._design_command import run_design
+
+    return run_design(
+        arguments.case,
+        arguments.out,
+        arguments.vary,
+        criterion=arguments.criterion,
+        count=arguments.count,
+        channels=arguments.channels,
+        duration=arguments.duration,
+        rate=arguments.rate,
+        noise=arguments.noise,
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 
 
-LONG = ("02", "03", "04", "05", "06", "07", "08")
+LONG = ("02", "03", "04", "05", "06", "07", "08", "10")
 """Notebooks that take half a minute and more each."""
 
 
