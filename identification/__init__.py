@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ._parameters import Parameter, Prior, Tie
     from ._profile import Profile, profile
     from ._quality import Finding, quality
-    from ._result import STATUS, Estimate, FitResult, TraceFit
+    from ._result import STATUS, Estimate, FitResult, TraceFit, load_result
     from ._solver import SOLVERS
     from ._starts import Waterfall
     from ._synthetic import synthetic_trace
@@ -49,6 +49,7 @@ __all__ = [
     "check",
     "fit",
     "load_fit",
+    "load_result",
     "mean_force_fit",
     "profile",
     "quality",
@@ -70,7 +71,7 @@ _HOMES = {
     "_parameters": ("Parameter", "Prior", "Tie"),
     "_profile": ("Profile", "profile"),
     "_quality": ("Finding", "quality"),
-    "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
+    "_result": ("STATUS", "Estimate", "FitResult", "TraceFit", "load_result"),
     "_solver": ("SOLVERS",),
     "_starts": ("Waterfall",),
     "_synthetic": ("synthetic_trace",),
