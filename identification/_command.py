@@ -11,6 +11,7 @@ from rich.table import Table
 from millax import CaseError
 
 from ._check_command import show_findings
+from ._checkpoint import CheckpointError
 from ._fit import Progress, fit
 from ._fitfile import FitProblem, load_fit
 from ._fitted import fitted_text
@@ -23,13 +24,17 @@ from ._words import interval, with_error
 _EXIT = {"converged": 0, "interrupted": 130}
 
 
-def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: bool = True) -> int:
-    """Fit what a case file asks; write result.json, fitted.toml and report.html into the directory `out_dir`.
-    With `check`, a question to which the measurements have no answer is not begun.
+def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: bool = True, restart: bool = False) -> int:
+    """Fit what a case file asks; write result.h5 (everything), result.json, fitted.toml and report.html into the directory
+    `out_dir`. With `check`, a question to which the measurements have no answer is not begun.
+
+    While it runs, checkpoint.h5 in `out_dir` holds where it is, and a fit that was ended goes on from there; with `restart`
+    it begins anew.
 
     Returns the exit code: 0 where every parameter was found; 1 where the answer is no (the result says why, and is written
-    all the same); 2 for input that cannot be used, with nothing written; 130 after Ctrl-C, with the best so far written.
-    fitted.toml is left out where the fit was not begun. Raises `OSError` where nothing can be written.
+    all the same); 2 for input that cannot be used, with nothing written, a checkpoint of another question among it; 130
+    after Ctrl-C, with the best so far written. fitted.toml is left out where the fit was not begun. Raises `OSError` where
+    nothing can be written.
     """
     try:
         problem = load_fit(case_path)
@@ -37,25 +42,39 @@ def run_fit(case_path: str | os.PathLike, out_dir: str | os.PathLike, *, check: 
         complain(str(error))
         return 2
     show_findings(problem)
+    with staged(out_dir):
+        pass  # whatever is wrong with the directory is said before the fit
+    out = Path(out_dir)
+    checkpoint = out / "checkpoint.h5"
+    if restart:
+        checkpoint.unlink(missing_ok=True)
+    elif checkpoint.exists():
+        console.print(f"going on from {checkpoint}; --restart begins anew", markup=False)
+    try:
+        result = _fit(problem, check, checkpoint)
+    except CheckpointError as error:
+        complain(str(error))
+        return 2
+    # First of all, and by itself: nothing that goes wrong with the other files may lose it.
+    result.save(out / "result.h5")
     with staged(out_dir) as folder:
-        result = _fit(problem, check)
         text = json.dumps(result.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
         write_report(folder / "report.html", result, title=Path(case_path).name, truth=problem.truth)
         if not result.begun:
             # One from an earlier run would not belong to this result.
-            (Path(out_dir) / "fitted.toml").unlink(missing_ok=True)
+            (out / "fitted.toml").unlink(missing_ok=True)
         else:
             (folder / "fitted.toml").write_text(fitted_text(problem, result), encoding="utf-8")
-        names = ", ".join(sorted(file.name for file in folder.iterdir()))
+        names = ", ".join(sorted(["result.h5", *(file.name for file in folder.iterdir())]))
     _show(result)
     console.print(f"{out_dir}: {names}", markup=False)
     return _EXIT.get(result.status, 1)
 
 
-def _fit(problem: FitProblem, check: bool) -> FitResult:
+def _fit(problem: FitProblem, check: bool, checkpoint: Path) -> FitResult:
     def run(progress: Callable[[Progress], None]) -> FitResult:
-        return fit(problem.cases, problem.traces, problem.parameters, check=check, progress=progress)
+        return fit(problem.cases, problem.traces, problem.parameters, check=check, progress=progress, checkpoint=checkpoint)
 
     if not console.is_terminal:
         return run(lambda p: console.print(_line(p)))

@@ -1,8 +1,9 @@
 """Fitting parameters of a case to measurements: maximum likelihood, as least squares of independent residuals."""
 
 import dataclasses
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from millax import Case
 from millax._gain import MOST_SWEEPS
 from millax._simulate import STATUS as SIMULATION_STATUS
 
+from ._checkpoint import Checkpoint, End, State
 from ._colour import colour
 from ._evaluate import Evaluation, evaluate
 from ._fleet import Ended, solve_many
@@ -83,6 +85,7 @@ def fit(
     check: bool = True,
     max_iterations: int | None = None,
     progress: Callable[[Progress], None] | None = None,
+    checkpoint: str | os.PathLike | None = None,
 ) -> FitResult:
     """Find the parameters with which the case is nearest to what was measured.
 
@@ -111,13 +114,17 @@ def fit(
     - `check`: whether a question to which the measurements have no answer at the guess, see `identification.check`, is not
       begun: the status then is "not_identifiable", and the message names the combinations that cannot be known.
     - `max_iterations`: evaluations of model and Jacobian after which the fit gives up. None: as many as suit the solver.
+      Those before a checkpoint do not count.
     - `progress`: called with a `Progress` after every evaluation that is the best so far.
+    - `checkpoint`: a file in which the fit keeps where it is, about once a second. Where it is there already, from a fit of
+      the same question that was killed, interrupted, or ended by `max_iterations`, the fit goes on from it, with any solver.
+      It is removed when the fit ends otherwise. None: nothing is kept.
 
     Returns a `FitResult`, also where there is no good answer: look at `success`, `status` and `message`. Ctrl-C ends a
     fit with the best estimates so far.
 
-    Raises `ValueError` for parameters and measurements that cannot be used, an unknown solver, and where JAX is not set to
-    float64.
+    Raises `ValueError` for parameters and measurements that cannot be used, an unknown solver, a checkpoint of another
+    question, and where JAX is not set to float64.
     """
     if solver not in SOLVERS:
         raise ValueError(f"solver: {solver!r} given; it must be one of {', '.join(SOLVERS)}")
@@ -128,17 +135,21 @@ def fit(
     asked = question(case, measured, parameters)
     from_where = None if starts == 1 else Begin(draw_starts(asked.numbers, starts, spread, seed), seed)
     most = SOLVERS[solver].evaluations if max_iterations is None else max_iterations
-    return _Fit(asked, noise or NoiseModel(), solver, from_where, check, most, progress or (lambda _: None)).run()
+    kind = noise or NoiseModel()
+    kept = None if checkpoint is None else Checkpoint(checkpoint, asked, kind, from_where and from_where.y)
+    return _Fit(asked, kind, solver, from_where, check, most, progress or (lambda _: None), kept).run()
 
 
 class _Failed(Exception):
-    """The fit cannot go on: a status, a message, and what is known of the parameters where it was not begun."""
+    """The fit cannot go on: a status, a message, what is known of the parameters where it was not begun, and whether it
+    could go on with more iterations."""
 
-    def __init__(self, status: str, message: str, known: Uncertainty | None = None):
+    def __init__(self, status: str, message: str, known: Uncertainty | None = None, unfinished: bool = False):
         super().__init__(message)
         self.status = status
         self.message = message
         self.known = known
+        self.unfinished = unfinished
 
 
 class Begin(NamedTuple):
@@ -155,7 +166,7 @@ class _AtOptimum(Exception):
 class _Fit:
     """The state of a running fit: where it is best, and with which noise."""
 
-    def __init__(self, asked: Question, kind: NoiseModel, solver: str, begin, check: bool, most: int, progress):
+    def __init__(self, asked: Question, kind: NoiseModel, solver: str, begin, check: bool, most: int, progress, kept):
         self.asked = asked
         self.numbers = asked.numbers
         self.before = self.sweeps
@@ -174,9 +185,15 @@ class _Fit:
         self.samples, self.size = asked.samples, asked.size
         self.estimated = np.isnan(asked.noise)
         self.noise = kind.of(np.where(self.estimated, self.size, asked.noise))
+        self.round = 0
+        self.ends: list[End] = []
+        self.kept: Checkpoint | None = kept
+        self.resumed = kept.found() if kept else None
+        if self.resumed:
+            self._resume(self.resumed)
 
     def run(self) -> FitResult:
-        known = None
+        known, unfinished = None, False
         try:
             self._start()
             if self.starts is None:
@@ -185,19 +202,43 @@ class _Fit:
                 self._from_many(self.starts)
             status, message = "converged", ""
         except KeyboardInterrupt:
-            status, message = "interrupted", "Stopped by the user; these are the best values so far."
+            status, message, unfinished = "interrupted", "Stopped by the user; these are the best values so far.", True
         except _Failed as failure:
-            status, message, known = failure.status, failure.message, failure.known
+            status, message, known, unfinished = failure.status, failure.message, failure.known, failure.unfinished
         if self.best is None and status == "interrupted":
             raise KeyboardInterrupt
-        return self._result(status, message, known)
+        result = self._result(status, message, known)
+        return dataclasses.replace(result, message=f"{result.message}{self._leave(unfinished)}")
+
+    def _leave(self, unfinished: bool) -> str:
+        """Keep the last state of a fit that can go on, or remove the checkpoint; what is said of it."""
+        said = f" Resumed after {self.resumed.iterations} iterations." if self.resumed else ""
+        if self.kept and unfinished:
+            self._keep(now=True)
+            return f"{said} The same fit goes on from {self.kept.path}."
+        if self.kept:
+            self.kept.remove()
+        return said
+
+    def _resume(self, state: State) -> None:
+        self.y, self.noise, self.round, self.ends = state.y, state.noise, state.round, list(state.ends)
+        self.iterations, self.max_iterations = state.iterations, self.max_iterations + state.iterations
+        self.begin -= state.seconds
+
+    def _keep(self, *, now: bool = False) -> None:
+        if self.kept:
+            seconds = time.perf_counter() - self.begin
+            state = State(self.y, self.noise, self.round, tuple(self.ends), self.iterations, seconds)
+            self.kept.keep(state, now=now)
 
     def _start(self) -> None:
-        self._tell("compiling")
+        self._tell(f"resuming after {self.iterations} iterations" if self.resumed else "compiling")
         first, failure = self._evaluate(self.y)
         if failure:
             raise _Failed("cannot_start", f"The simulation fails at the guess: {failure}. Guess nearer to the truth.")
         self.best = first
+        if self.resumed:
+            return  # what follows was looked at when the fit began
         dead = insensitive(self._whitened(first)[:, :-1])
         if dead.any():
             names = ", ".join(np.array(self.numbers.names)[dead])
@@ -214,26 +255,31 @@ class _Fit:
 
     def _from_many(self, starts: Begin) -> None:
         """Fit from many starts, and go on from the best end; then all go to their optima, for the noise that was found."""
-        ends = self._search(starts.y, "from all starts")
-        self._take_best(ends)
+        left = starts.y[len(self.ends) :]
+        if len(left):
+            for one in self._search(left, "from all starts"):
+                self.ends.append(End(one.y, one.cost))
+        self._take_best(self.ends)
         self._rounds()
-        ends = self._search(np.stack([one.y for one in ends]), "from all ends")
+        ends = list(self._search(np.stack([one.y for one in self.ends]), "from all ends"))
         if min(one.cost for one in ends) < self._cost(self._best()) - SAME:
             self._take_best(ends)
+            self.round = 0
             self._rounds()
         self.waterfall = waterfall(self.numbers, starts.y, ends, starts.seed)
 
-    def _search(self, y: np.ndarray, stage: str) -> list[Ended]:
+    def _search(self, y: np.ndarray, stage: str) -> Iterator[Ended]:
         def done(count: int) -> None:
+            self._keep(now=True)
             self._tell(f"{stage}: {count} of {len(y)}")
 
         self._tell(f"compiling for {len(y)} starts")
-        ends = list(solve_many(self.asked.model, self.noise, y, caution=np.sqrt(self.samples.sum()), done=done))
-        self.iterations += sum(one.steps for one in ends)
-        self.max_iterations += sum(one.steps for one in ends)
-        return ends
+        for one in solve_many(self.asked.model, self.noise, y, caution=np.sqrt(self.samples.sum()), done=done):
+            self.iterations += one.steps
+            self.max_iterations += one.steps
+            yield one
 
-    def _take_best(self, ends: Sequence[Ended]) -> None:
+    def _take_best(self, ends: Sequence[Ended] | Sequence[End]) -> None:
         best = min(ends, key=lambda one: one.cost)
         evaluation, failure = self._evaluate(best.y)
         if not failure and self._cost(evaluation) < self._cost(self._best()):
@@ -242,14 +288,19 @@ class _Fit:
     def _rounds(self) -> None:
         # Damping starts at 1. Residuals per sample make that cautious, as is right far from the optimum; near it,
         # residuals in units of the noise make it bold.
-        self._least_squares("fit", caution=np.sqrt(self.samples.sum()))
-        for number in range(1, NOISE_ROUNDS + 1):
+        if self.round == 0:
+            self._least_squares("fit", caution=np.sqrt(self.samples.sum()))
+        else:
+            self._least_squares(f"noise {self.round}", caution=1.0)
+        while self.round < NOISE_ROUNDS:
             if not self._update_noise():
                 return
+            self.round += 1
+            self._keep(now=True)
             if not self.kind.plain:
                 self.best, failure = self._evaluate(self.y)
                 assert not failure  # it was good with the noise before
-            self._least_squares(f"noise {number}", caution=1.0)
+            self._least_squares(f"noise {self.round}", caution=1.0)
         raise _Failed("not_converged", f"The estimated noise still changes after {NOISE_ROUNDS} rounds.")
 
     def _least_squares(self, stage: str, caution: float) -> None:
@@ -275,13 +326,14 @@ class _Fit:
         if np.array_equal(y, self.y):
             return best
         if self.iterations >= self.max_iterations:
-            raise _Failed("not_converged", f"No optimum after {self.iterations} iterations. {TRY}")
+            raise _Failed("not_converged", f"No optimum after {self.iterations} iterations. {TRY}", unfinished=True)
         evaluation, failure = self._evaluate(y)
         if failure:
             self.wall = failure
             return None
         if self._cost(evaluation) <= self._cost(best) * (1 + ROUNDING):
             self.y, self.best = np.array(y), evaluation
+            self._keep()
             self._tell(stage, self._cost(evaluation) / self.samples.sum())
             self._end_at_optimum()
         return evaluation
