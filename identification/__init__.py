@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ._align import align
     from ._design import Design, Forecast, design
-    from ._fit import Progress, fit
+    from ._fit import fit
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
     from ._loadtest import LoadTest, read_load_test
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from ._profile import Profile, profile
     from ._quality import Finding, quality
     from ._recording import Recording
-    from ._result import STATUS, Estimate, FitResult, TraceFit
+    from ._result import STATUS, Estimate, FitResult, TraceFit, load_result
+    from ._running import Progress
     from ._solver import SOLVERS
     from ._starts import Waterfall
     from ._synthetic import synthetic_trace
@@ -55,6 +56,7 @@ __all__ = [
     "design",
     "fit",
     "load_fit",
+    "load_result",
     "mean_force_fit",
     "profile",
     "quality",
@@ -66,7 +68,7 @@ __all__ = [
 _HOMES = {
     "_align": ("align",),
     "_design": ("Design", "Forecast", "design"),
-    "_fit": ("Progress", "fit"),
+    "_fit": ("fit",),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),
     "_loadtest": ("LoadTest", "read_load_test"),
@@ -78,7 +80,8 @@ _HOMES = {
     "_profile": ("Profile", "profile"),
     "_quality": ("Finding", "quality"),
     "_recording": ("Recording",),
-    "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
+    "_running": ("Progress",),
+    "_result": ("STATUS", "Estimate", "FitResult", "TraceFit", "load_result"),
     "_solver": ("SOLVERS",),
     "_starts": ("Waterfall",),
     "_synthetic": ("synthetic_trace",),

@@ -85,7 +85,7 @@ def profile(
     for name in names or ():
         if name not in free:
             raise ValueError(f"profile of {name}: it was not free; free were {', '.join(free)}")
-    if result.status not in ("converged", "at_bound", "not_identifiable") or not result.begun:
+    if not result.has_optimum:
         raise ValueError(f"profile: the fit has no optimum to start from: {result.message}")
     which = [free.index(name) for name in names or free]
     curves = [_Curve(result, i) for i in which if result.parameters[i].std is not None]

@@ -1,6 +1,7 @@
 """What a fit found, for programs and for files."""
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,11 +14,14 @@ from ._loadtest import LoadTest
 from ._noise import Noise, NoiseModel
 from ._question import Question
 from ._starts import Waterfall
+from ._store import load, save
 from ._traces import Trace
 
 if TYPE_CHECKING:
     from ._posterior import Posterior
     from ._profile import Profile
+
+CONTENT = "result of a fit"
 
 STATUS = {
     "converged": "every parameter is known",
@@ -180,12 +184,26 @@ class FitResult:
         """Whether the whole question is answered."""
         return self.status == "converged"
 
+    @property
+    def has_optimum(self) -> bool:
+        """Whether the fit reached one, known or not."""
+        return self.begun and self.status in ("converged", "at_bound", "not_identifiable")
+
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of the parameter called `name`."""
         for estimate in self.parameters:
             if estimate.name == name:
                 return estimate
         raise KeyError(f"{name} was not free; free were {', '.join(e.name for e in self.parameters)}")
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Keep everything in one HDF5 file, "fit.h5", from which `identification.load_result` gives back the same result,
+        bit for bit: the question with its measurements and cases, estimates and covariance, the fitted model.
+
+        Raises `ValueError` where a case holds an object that is not of millax, such as a force law of your own; `OSError`
+        where the file cannot be written. What was there before then stays.
+        """
+        save(path, CONTENT, self)
 
     def to_json(self) -> dict[str, Any]:
         """The content of `result.json`: plain dictionaries, lists and numbers, None for what is not known."""
@@ -209,6 +227,15 @@ class FitResult:
             "versions": dict(self.versions),
             "seed": self.seed,
         }
+
+
+def load_result(path: str | os.PathLike) -> FitResult:
+    """The result that `FitResult.save` kept in the file `path`, complete: what follows a fit can follow it.
+
+    Raises `ValueError` for a file that is no such result, is damaged, or comes from a version of millax whose results have
+    other fields; `OSError` where it cannot be read. Nothing in the file is run: it may come from anybody.
+    """
+    return load(path, CONTENT, FitResult)
 
 
 def _finite(x: float | None) -> float | None:

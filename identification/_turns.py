@@ -9,8 +9,8 @@ from jaxtyping import Float
 from millax import Case
 
 from ._compare import resolves_teeth
-from ._fit import NOISE_FLOOR
 from ._measured import TraceError
+from ._running import NOISE_FLOOR
 from ._steady import Steady
 from ._traces import Trace
 

@@ -154,7 +154,9 @@ def _drowned(free: FreeParameters, i: int, live, covariance, slope, value) -> st
 
 def _combination(names: list[str], change: np.ndarray, what: str = "nothing that was measured") -> str:
     """A direction in which a change of the parameters changes only `what`, in words."""
-    change = change / change[np.argmax(np.abs(change))]
+    # The first of the largest is +1, whatever rounding makes of those that are as large.
+    size = np.abs(change)
+    change = change / change[np.argmax(size > (1 - 1e-6) * size.max())]
     parts = [f"{c:+.3g} % of {name}" for name, c in zip(names, change, strict=True)]
     if len(parts) == 1:
         return f"{names[0]} changes {what}"

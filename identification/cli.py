@@ -58,7 +58,8 @@ def _parser() -> argparse.ArgumentParser:
         "fit",
         help="identify parameters from measured traces and deflections",
         description="Fit the parameters named in the [fit] table of a case file to its traces and load tests. Writes "
-        "result.json, fitted.toml (the case with the estimates in it) and report.html.",
+        "result.json, fitted.toml (the case with the estimates in it), report.html and result.h5 (everything, for "
+        "identification.load_result). A fit that was stopped goes on when the same command is run again.",
     )
     _add_paths(fit)
     fit.add_argument(
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--starts", metavar="N", type=int, help="fit from N starts, in place of what [fit] says")
     fit.add_argument("--profile", action="store_true", default=None, help="intervals by profile likelihood, too")
     fit.add_argument("--posterior", metavar="N", type=int, help="N draws of the posterior, in place of what [fit] says")
+    fit.add_argument("--restart", action="store_true", help="begin anew, whatever DIR/checkpoint.h5 holds")
     fit.set_defaults(run=_fit)
 
     check = commands.add_parser(
@@ -252,7 +254,15 @@ def _check(arguments: argparse.Namespace) -> int:
 def _fit(arguments: argparse.Namespace) -> int:
     from ._command import run_fit
 
-    return run_fit(arguments.case, arguments.out, check=not arguments.no_check)
+    return run_fit(
+        arguments.case,
+        arguments.out,
+        check=not arguments.no_check,
+        restart=arguments.restart,
+        starts=arguments.starts,
+        profile=arguments.profile,
+        posterior=arguments.posterior,
+    )
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ class SweepFile:
                 old = {}
             self._require_same(old, f"{self.parts}: this directory holds a part of another sweep")
         else:
-            _write(manifest, (json.dumps(self.manifest, indent=2, ensure_ascii=False) + "\n").encode())
+            write_whole(manifest, (json.dumps(self.manifest, indent=2, ensure_ascii=False) + "\n").encode())
 
     def done(self, members: int) -> Int[np.ndarray, " members"]:
         """The status of every member that is done, -1 for the others. Damaged parts are removed, with a warning."""
@@ -106,7 +106,7 @@ class SweepFile:
         """Keep a chunk. Raises `OSError`; the parts written before are then untouched."""
         data = _netcdf({name: (_dims(name, values), values) for name, values in chunk.items()})
         name = f"{chunk['member'][0]:08d}-{hashlib.sha256(data).hexdigest()[:16]}.nc"
-        _write(self.parts / name, data)
+        write_whole(self.parts / name, data)
 
     def chunks(self, names: tuple[str, ...] | None = None) -> Iterator[Chunk]:
         """Every chunk that is kept, one after the other; of each the variables `names` and "member", or all."""
@@ -142,6 +142,14 @@ def whole(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file that is there whole, whatever ends the process or the machine, or not at all."""
+    with whole(path) as temporary, open(temporary, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def save(dataset: "xarray.Dataset", target: Path | io.BytesIO) -> None:
@@ -186,13 +194,6 @@ def _netcdf(variables) -> bytes:
     buffer = io.BytesIO()
     save(xarray.Dataset(variables), buffer)
     return buffer.getvalue()
-
-
-def _write(path: Path, data: bytes) -> None:
-    with whole(path) as temporary, open(temporary, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _read(path: Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray] | None:

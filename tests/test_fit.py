@@ -11,7 +11,7 @@ import pytest
 from cases import slot
 
 import millax as mx
-from identification import Parameter, Trace, TraceError, _evaluate, _fit, check, fit
+from identification import Parameter, Trace, TraceError, _evaluate, _running, check, fit
 from identification._evaluate import triangle
 from identification._parameters import free
 from identification._solver import Steps
@@ -242,7 +242,7 @@ def test_a_guess_at_which_the_simulation_fails_cannot_start():
 
 def test_a_simulation_that_fails_on_the_way_is_a_step_turned_down(monkeypatch, rigid_trace):
     calls = []
-    evaluate = _fit.evaluate
+    evaluate = _running.evaluate
 
     def failing(*arguments):
         calls.append(1)
@@ -253,21 +253,21 @@ def test_a_simulation_that_fails_on_the_way_is_a_step_turned_down(monkeypatch, r
             return eqx.tree_at(lambda e: e.triangles, result, result.triangles * jnp.nan)
         return result
 
-    monkeypatch.setattr(_fit, "evaluate", failing)
+    monkeypatch.setattr(_running, "evaluate", failing)
     result = fit(RIGID, rigid_trace, [Parameter("force.k0", 8e9), "force.kr"])
     assert result.success
     assert abs(result["force.k0"].value - 5e9) < 4 * result["force.k0"].std
 
 
 def test_an_optimum_behind_a_wall_of_failures_is_no_answer(monkeypatch, rigid_trace):
-    evaluate = _fit.evaluate
+    evaluate = _running.evaluate
 
     def walled(model, noise, y):
         result = evaluate(model, noise, y)
         beyond = float(model.numbers.values(y)[0]) < 7e9
         return eqx.tree_at(lambda e: e.status, result, jnp.array(2)) if beyond else result
 
-    monkeypatch.setattr(_fit, "evaluate", walled)
+    monkeypatch.setattr(_running, "evaluate", walled)
     result = fit(RIGID, rigid_trace, [Parameter("force.k0", 8e9), "force.kr"])
     assert result.status == "not_converged"
     assert "beyond it the tool left its path" in result.message
@@ -376,9 +376,9 @@ def test_steps_reach_the_optimum_and_turn_failures_down():
 
 def test_a_positive_quantity_stays_positive_on_its_way(rigid_trace):
     seen = []
-    evaluate = _fit.evaluate
+    evaluate = _running.evaluate
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_fit, "evaluate", lambda m, n, y: seen.append(np.array(m.numbers.values(y))) or evaluate(m, n, y))
+        patch.setattr(_running, "evaluate", lambda m, n, y: seen.append(np.array(m.numbers.values(y))) or evaluate(m, n, y))
         result = fit(RIGID, rigid_trace, [Parameter("force.k0", 1e8), "force.kr"])
     assert result.success
     assert min(v[0] for v in seen) > 0

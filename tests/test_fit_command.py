@@ -7,7 +7,7 @@ import pytest
 from cases import SLOT_FILE
 
 import millax as mx
-from identification import Parameter, _command, load_fit
+from identification import Parameter, _command, load_fit, load_result
 from identification.cli import main
 
 CASE = f"""\
@@ -74,8 +74,9 @@ def test_the_question_of_a_file(make):
 def test_a_fit_writes_what_was_found(make, tmp_path, capsys):
     path, out = make(), tmp_path / "out"
     assert run(path, out) == 0
-    assert {file.name for file in out.iterdir()} == {"result.json", "fitted.toml", "report.html"}
+    assert {file.name for file in out.iterdir()} == {"result.json", "fitted.toml", "report.html", "result.h5"}
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert load_result(out / "result.h5").to_json() == result
     assert result["status"] == "converged"
     k0, kr = result["parameters"]
     assert (k0["name"], k0["unit"], k0["at_bound"], k0["identifiable"]) == ("force.k0", "kN/mm^2", False, True)
@@ -137,7 +138,7 @@ def test_a_fit_that_cannot_start_leaves_no_fitted_case(make, tmp_path):
     out.mkdir()
     (out / "fitted.toml").write_text("from an earlier run")
     assert run(path, out) == 1
-    assert {file.name for file in out.iterdir()} == {"result.json", "report.html"}
+    assert {file.name for file in out.iterdir()} == {"result.json", "report.html", "result.h5"}
     assert "do not depend on cut.start.y" in json.loads((out / "result.json").read_text(encoding="utf-8"))["message"]
 
 
@@ -166,6 +167,12 @@ def test_ctrl_c_saves_the_best_so_far(make, tmp_path, monkeypatch):
         ([('"force.kr" = 0.5', 'cut.start.y = "0 mm"')], "cut.start.y is not a number of this case file"),
         ([("[fit.free]", "[fit.fre]")], "[fit]: unknown key fre. Did you mean free?"),
         ([("[fit.truth]", "[fit.prior]")], "[fit]: unknown key prior"),
+        ([("[fit.free]", '[fit]\nsolver = "scipy"\n[fit.free]')], "Did you mean scipy_trf? It must be one of optimistix_lm"),
+        ([("[fit.free]", "[fit]\nstarts = 0\n[fit.free]")], "starts: 0 given; it must be a whole number of at least 1"),
+        ([("[fit.free]", "[fit]\nspread = 1\n[fit.free]")], "spread: 1 given; it must be a factor greater than 1"),
+        ([("[fit.free]", '[fit]\nprofile = "yes"\n[fit.free]')], "it must be true or false"),
+        ([("[fit.free]", "[fit]\nnoise = { ordr = 1 }\n[fit.free]")], "unknown key ordr. Did you mean order?"),
+        ([("[fit.free]", "[fit]\nnoise = { order = 99 }\n[fit.free]")], "order 99 given"),
         ([("force = { k0", "forces = { k0")], "forces.k0: unknown parameter"),
         ([("[[trace]]", "[trace]")], "there is no [[trace]]"),
         ([('file = "trace.csv"\n', "")], "file is missing"),
@@ -203,11 +210,12 @@ def test_a_trace_with_a_hole_is_exit_code_2(make, tmp_path, trace_text, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_nothing_is_written_when_writing_fails_halfway(make, tmp_path, monkeypatch):
+def test_a_fit_is_not_lost_when_writing_its_report_fails(make, tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device", "report.html")
 
     monkeypatch.setattr(_command, "write_report", full)
     out = tmp_path / "out"
     assert run(make(), out) == 2
-    assert not out.exists() or not list(out.iterdir())
+    assert {file.name for file in out.iterdir()} == {"result.h5"}
+    assert load_result(out / "result.h5").success

@@ -1,5 +1,8 @@
 """What is compiled again, and how long the demo takes."""
 
+import os
+import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -10,6 +13,7 @@ import equinox as eqx
 import jax
 
 import millax as mx
+from identification import load_result
 
 from ..figures import Figure, below
 from ..slot import slot
@@ -20,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def figures():
     yield _traces()
     yield from _demo()
+    yield from _killed()
 
 
 def _traces():
@@ -40,11 +45,14 @@ def _traces():
     return Figure("compilations when only numbers change", f"{count - first}", "0", count == first)
 
 
+DEMO = [sys.executable, "-m", "identification.cli", "fit", "data_synthetic/kr240_slot.toml", "--out"]
+
+
 def _demo():
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         run = subprocess.run(
-            [sys.executable, "-m", "identification.cli", "fit", "data_synthetic/kr240_slot.toml", "--out", folder],
+            [*DEMO, folder],
             cwd=ROOT,
             capture_output=True,
             text=True,
@@ -53,3 +61,30 @@ def _demo():
         seconds = time.perf_counter() - begin
         yield Figure("demo: exit code", str(run.returncode), "0", run.returncode == 0)
         yield below("demo: wall time after installation", seconds, 60.0, form=".0f", unit=" s")
+
+
+def _killed():
+    """The demo, killed at its tenth iteration, and run again."""
+    with tempfile.TemporaryDirectory() as apart, tempfile.TemporaryDirectory() as folder:
+        quiet = {"cwd": ROOT, "stdout": subprocess.DEVNULL, "check": True}
+        subprocess.run([*DEMO, apart], **quiet)
+        whole = load_result(Path(apart) / "result.h5")
+        run = subprocess.Popen(
+            [*DEMO, folder], cwd=ROOT, env=os.environ | {"PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE, text=True
+        )
+        assert run.stdout
+        for line in run.stdout:
+            at = re.match(r"fit: iteration (\d+)", line)
+            if at and int(at[1]) >= 10:
+                run.kill()
+                break
+        run.stdout.close()
+        killed = run.wait() == -signal.SIGKILL
+        subprocess.run([*DEMO, folder], **quiet)
+        result = load_result(Path(folder) / "result.h5")
+    resumed = re.search(r"Resumed after (\d+) iterations", result.message)
+    saved = int(resumed[1]) if resumed else 0
+    what = "demo: killed at its tenth iteration and run again, iterations not done again"
+    yield Figure(what, f"{saved} of {result.iterations}", "> 0", killed and saved > 0)
+    off = [abs(a.value - b.value) / b.std for a, b in zip(result.parameters, whole.parameters, strict=True) if b.std]
+    yield below("demo: its estimates beside those of a fit left alone, in standard errors", max(off), 1e-3)
