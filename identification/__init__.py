@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from ._measured import TraceError
     from ._noise import NoiseModel
     from ._parameters import Parameter, Prior, Tie
+    from ._posterior import sample
+    from ._posterior_result import Posterior
     from ._quality import Finding, quality
     from ._result import STATUS, Estimate, FitResult, TraceFit
     from ._solver import SOLVERS
@@ -34,6 +36,7 @@ __all__ = [
     "MeanForceFit",
     "NoiseModel",
     "Parameter",
+    "Posterior",
     "Prior",
     "Progress",
     "Prospect",
@@ -49,6 +52,7 @@ __all__ = [
     "quality",
     "read_load_test",
     "read_trace",
+    "sample",
     "synthetic_trace",
 ]
 
@@ -63,6 +67,8 @@ _HOMES = {
     "_measured": ("TraceError",),
     "_noise": ("NoiseModel",),
     "_parameters": ("Parameter", "Prior", "Tie"),
+    "_posterior": ("sample",),
+    "_posterior_result": ("Posterior",),
     "_quality": ("Finding", "quality"),
     "_result": ("STATUS", "Estimate", "FitResult", "TraceFit"),
     "_solver": ("SOLVERS",),
