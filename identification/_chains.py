@@ -5,6 +5,7 @@ where the posterior is nearly normal z is nearly of unit variance in all directi
 left to be adapted.
 """
 
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -27,10 +28,6 @@ BLOCK = 25
 """Draws of a chain between two looks at it."""
 
 FIRST_STEP = 0.8
-ACCEPTED = 0.65
-"""Rate of acceptance to which the length of a step is adapted. In whitened coordinates three steps then make a turn; with the
-usual 0.8 it takes about six, and draws are worth the same."""
-
 SPREAD = 2.0
 """Of the points at which chains begin, in standard errors."""
 
@@ -118,9 +115,6 @@ class Draws(NamedTuple):
     acceptance: Float[Array, " draws"]
 
 
-_first, _updated, _adapted = dual_averaging_adaptation(ACCEPTED)
-
-
 def begin(density: Density, key: PRNGKeyArray) -> Chain:
     """A chain at a point drawn from twice the standard errors of the fit, or nearer to the optimum where the simulation may
     not be used there."""
@@ -128,7 +122,8 @@ def begin(density: Density, key: PRNGKeyArray) -> Chain:
     z = SPREAD * jax.random.normal(where, density.centre.shape)
     while (start := at(density, z)) is None:
         z = z / 2
-    steps = jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), _first(FIRST_STEP))
+    first, _, _ = dual_averaging_adaptation(0.0)
+    steps = jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), first(FIRST_STEP))
     return Chain(start, key, steps)
 
 
@@ -146,19 +141,23 @@ def at(density: Density, z: Float[Array, " n"]) -> HMCState | None:
 
 
 def drawn(
-    density: Density, *, chains: int, warmup: int, kept: int, seed: int, report: Callable[[str, int], None]
+    density: Density,
+    *,
+    chains: int,
+    warmup: int,
+    kept: int,
+    acceptance: float,
+    seed: int,
+    report: Callable[[str, int], None],
 ) -> tuple[Draws, int, bool]:
-    """The draws of so many chains in `kept` blocks, after `warmup` others; how many gradients they took, and whether the user
-    stopped them early. `report` is told what is done and how many draws are."""
+    """The draws of so many chains in `kept` blocks, after `warmup` others; how many gradients they took, and whether the
+    user stopped them early. `report` is told what is done and how many draws are."""
     found, gradients, interrupted = [], 0, False
     with ThreadPoolExecutor(min(chains, os.cpu_count() or 1)) as pool:
         try:
             running = [begin(density, key) for key in jax.random.split(jax.random.key(seed), chains)]
             for number in range(warmup + kept):
-
-                def block(chain: Chain, adapting: Array = jnp.asarray(number < warmup)) -> tuple[Chain, Draws]:
-                    return jax.block_until_ready(go_on(density, chain, adapting))
-
+                block = functools.partial(_block, density, jnp.asarray(number < warmup), jnp.asarray(acceptance))
                 # The first compiles, which every thread would do by itself.
                 together = pool.map if number else map
                 running, draws = zip(*together(block, running), strict=True)
@@ -174,17 +173,23 @@ def drawn(
     return jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *found), gradients, interrupted
 
 
+def _block(density: Density, adapting: Array, acceptance: Array, chain: Chain) -> tuple[Chain, Draws]:
+    """`go_on`, and wait for it."""
+    return jax.block_until_ready(go_on(density, adapting, acceptance, chain))
+
+
 @eqx.filter_jit
-def go_on(density: Density, chain: Chain, adapting: Array) -> tuple[Chain, Draws]:
-    """The chain `BLOCK` draws on; `adapting` says whether the length of its steps still is."""
+def go_on(density: Density, adapting: Array, acceptance: Array, chain: Chain) -> tuple[Chain, Draws]:
+    """The chain `BLOCK` draws on; `adapting` says whether the length of its steps still is, to this rate of acceptance."""
     transition, mass = nuts.build_kernel(), jnp.ones_like(density.centre)
+    _, updated, adapted = dual_averaging_adaptation(acceptance)
 
     def draw(chain: Chain, _):
         now, key = jax.random.split(chain.key)
-        length = jnp.where(adapting, jnp.exp(chain.steps.log_step_size), _adapted(chain.steps))
+        length = jnp.where(adapting, jnp.exp(chain.steps.log_step_size), adapted(chain.steps))
         state, info = transition(now, chain.state, density, length, mass)
-        adapted = _updated(chain.steps, info.acceptance_rate)
-        steps = jax.tree.map(lambda new, old: jnp.where(adapting, new, old), adapted, chain.steps)
+        longer = updated(chain.steps, info.acceptance_rate)
+        steps = jax.tree.map(lambda new, old: jnp.where(adapting, new, old), longer, chain.steps)
         ends = info.trajectory_leftmost_state.logdensity, info.trajectory_rightmost_state.logdensity
         found = Draws(
             state.position,

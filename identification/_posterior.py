@@ -22,6 +22,7 @@ def sample(
     draws: int = 3000,
     chains: int = 4,
     warmup: int = 100,
+    acceptance: float = 0.65,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
 ) -> Posterior:
@@ -44,6 +45,8 @@ def sample(
     - `chains`: how many, >= 2; each has a thread of its own, and as many run at a time as there are processors.
     - `warmup`: draws of each chain that are thrown away, made up likewise, in which it comes from where it began to where
       the posterior is, and the length of its steps is adapted.
+    - `acceptance`: mean rate to which the length of a step is adapted, between 0 and 1. Three steps make a draw where the
+      posterior is nearly normal; where it is bent, more and shorter ones are needed: 0.9 or 0.95.
     - `seed`: of the random numbers: the same gives the same draws.
     - `progress`: called with a `Progress` after every 25 draws of all chains; its `iteration` is their number.
 
@@ -62,6 +65,8 @@ def sample(
     for name, value, least in (("draws", draws, 1), ("chains", chains, 2), ("warmup", warmup, 1)):
         if value < least:
             raise ValueError(f"{name}: {value} given; it must be at least {least}")
+    if not 0 < acceptance < 1:
+        raise ValueError(f"acceptance: {acceptance:g} given; it must lie between 0 and 1, such as 0.65")
     _refuse(result)
 
     first = time.perf_counter()
@@ -77,6 +82,7 @@ def sample(
         chains=chains,
         warmup=math.ceil(warmup / block),
         kept=math.ceil(draws / (chains * block)),
+        acceptance=acceptance,
         seed=seed,
         report=report,
     )

@@ -34,7 +34,7 @@ class Posterior:
     - `rhat`, `ess`: rank-normalised split R-hat, and bulk effective sample size (Vehtari et al. 2021), shape (n,).
     - `divergences`: draws whose path could not be followed; `failures`: of them, those that came to where the simulation
       cannot be used.
-    - `acceptance`: mean rate, near 0.8 where all is well.
+    - `acceptance`: mean rate, near the one asked for where all is well.
     - `gradients`: of the posterior that were computed, those of the warm-up included.
     - `seconds`: wall time, compilation included.
     - `seed`: of the random numbers.
@@ -105,7 +105,7 @@ class Posterior:
         """
         if result.asked.numbers.names != self.names:
             raise ValueError(
-                f"result: a fit of {', '.join(result.asked.numbers.names)} given; this is of {', '.join(self.names)}"
+                f"result: a fit of {', '.join(result.asked.numbers.names)} given; these are draws of {', '.join(self.names)}"
             )
         if draws < 2:
             raise ValueError(f"draws: {draws} given; it must be at least 2")
@@ -181,10 +181,10 @@ def doubt(names, rhat, ess, divergences: int, failures: int, draws: int) -> str 
         what = f"{divergences} of {draws} paths could not be followed"
         if failures:
             what += f", {failures} of them to where the simulation cannot be used"
-        reasons.append(
-            f"{what}: the draws may miss a part of the posterior; give bounds or priors that keep parameters where the "
-            "measurements tell them apart" + (", or more sweeps (simulation.sweeps)" if failures else "")
+        tries = "shorter steps (acceptance=0.95, with a longer warmup), bounds or priors" + (
+            ", more sweeps" if failures else ""
         )
+        reasons.append(f"{what}, and the draws may miss a part of the posterior: try {tries}")
     return ". ".join(reason[0].upper() + reason[1:] for reason in reasons) or None
 
 
