@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ._measured import TraceError
     from ._noise import NoiseModel
     from ._parameters import Parameter, Prior, Tie
+    from ._posterior import sample
+    from ._posterior_result import Posterior
     from ._profile import Profile, profile
     from ._quality import Finding, quality
     from ._recording import Recording
@@ -41,6 +43,7 @@ __all__ = [
     "MeanForceFit",
     "NoiseModel",
     "Parameter",
+    "Posterior",
     "Prior",
     "Profile",
     "Progress",
@@ -62,6 +65,7 @@ __all__ = [
     "quality",
     "read_load_test",
     "read_trace",
+    "sample",
     "synthetic_trace",
 ]
 
@@ -78,6 +82,8 @@ _HOMES = {
     "_noise": ("NoiseModel",),
     "_parameters": ("Parameter", "Prior", "Tie"),
     "_profile": ("Profile", "profile"),
+    "_posterior": ("sample",),
+    "_posterior_result": ("Posterior",),
     "_quality": ("Finding", "quality"),
     "_recording": ("Recording",),
     "_running": ("Progress",),

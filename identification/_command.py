@@ -171,5 +171,10 @@ def _show(result: FitResult) -> None:
         found = interval(one.ci95) if one.ci95 else f"not known: {one.reason}"
         console.print(f"{one.name}: 95 % interval by profile {found}", markup=False)
     if result.posterior is not None:
-        console.print(result.posterior.words, markup=False)
+        found = result.posterior
+        console.print(
+            f"posterior: {found.draws[..., 0].size} draws, R-hat at most {found.rhat.max():.3f}, effective draws at least "
+            f"{found.ess.min():.0f}. {found.reason or 'Nothing speaks against it.'}",
+            markup=False,
+        )
     console.print(f"{result.iterations} iterations in {result.seconds:.1f} s")

@@ -18,7 +18,7 @@ from ._store import load, save
 from ._traces import Trace
 
 if TYPE_CHECKING:
-    from ._posterior import Posterior
+    from ._posterior_result import Posterior
     from ._profile import Profile
 
 CONTENT = "result of a fit"
