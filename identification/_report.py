@@ -13,6 +13,8 @@ from millax._names import value_of
 from . import _curves as curves
 from . import _figures as figures
 from ._loadtest import LoadTest
+from ._posterior_figure import posterior
+from ._posterior_result import Posterior
 from ._result import STATUS, FitResult, TraceFit
 from ._words import interval, plain, unit_words, with_error
 
@@ -50,6 +52,8 @@ def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str
         else None,
         "open_profiles": [p.reason for p in result.profiles if p.reason],
         "waterfall": None if result.waterfall is None else curves.waterfall(result.waterfall),
+        "posterior": None if result.posterior is None else posterior(result.posterior, result),
+        "posterior_words": None if result.posterior is None else _posterior_words(result.posterior),
         "noise_words": _noise_words(result),
     }
 
@@ -97,6 +101,17 @@ def _row(result: FitResult, i: int, truth: dict[str, float]) -> dict[str, Any]:
         "error": None if not true else f"{100 * (e.value / true - 1):+.2f} %".replace("-", "−"),
         "reason": e.reason,
     }
+
+
+def _posterior_words(found: Posterior) -> str:
+    """What the draws say, and whether they can be trusted."""
+    chains, draws, _ = found.draws.shape
+    agrees = "They say the same as the estimates" if found.agrees else "They differ from estimates and standard errors"
+    return (
+        f"{draws} draws in each of {chains} chains by the No-U-Turn sampler; largest R-hat {found.rhat.max():.3f}, fewest "
+        f"effective draws {found.ess.min():.0f}. {agrees} (means within 0.2 standard errors, standard deviations within 10
+        %). " f"{found.reason or ''}"
+    ).rstrip()
 
 
 def _noise_words(result: FitResult) -> str:
