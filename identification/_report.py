@@ -107,11 +107,12 @@ def _posterior_words(found: Posterior) -> str:
     """What the draws say, and whether they can be trusted."""
     chains, draws, _ = found.draws.shape
     agrees = "They say the same as the estimates" if found.agrees else "They differ from estimates and standard errors"
-    return (
+    words = (
         f"{draws} draws in each of {chains} chains by the No-U-Turn sampler; largest R-hat {found.rhat.max():.3f}, fewest "
-        f"effective draws {found.ess.min():.0f}. {agrees} (means within 0.2 standard errors, standard deviations within 10
-        %). " f"{found.reason or ''}"
-    ).rstrip()
+        f"effective draws {found.ess.min():.0f}. {agrees} (means within 0.2 standard errors, standard deviations within "
+        "10 %)."
+    )
+    return f"{words} {found.reason}" if found.reason else words
 
 
 def _noise_words(result: FitResult) -> str:
