@@ -78,7 +78,8 @@ def profiles(found: Sequence[Profile], estimates: Sequence[Estimate]) -> str:
             axes.set_ylim(-4, 4)
             unit = unit_words(one.unit)
             axes.set_xlabel(f"{one.name} [{unit or '-'}]", fontsize=8, color=DARK)
-            axes.locator_params(axis="x", nbins=4)
+            axes.ticklabel_format(axis="x", useOffset=False)
+            axes.locator_params(axis="x", nbins=3)
         for row in grid:
             row[0].set_ylabel("±√D [standard errors]")
         return svg(figure, "profile likelihoods")

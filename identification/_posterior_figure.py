@@ -39,6 +39,7 @@ def posterior(found: Posterior, result: FitResult) -> str:
                 axes.set_visible(False)
                 continue
             tidy(axes)
+            axes.ticklabel_format(useOffset=False)
             axes.locator_params(nbins=3)
             axes.tick_params(axis="x", labelrotation=30)
             if row == column:

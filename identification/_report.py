@@ -46,7 +46,6 @@ def _content(result: FitResult, title: str, truth: dict[str, float]) -> dict[str
             for fit, tooth_period in zip(result.traces, periods, strict=False)  # a fit that never ran has no traces
         ],
         "correlation": figures.correlation(result) if np.isfinite(result.correlation).sum() > 1 else None,
-        "has_profiles": bool(result.profiles),
         "profiles": curves.profiles(result.profiles, result.parameters)
         if any(len(p.values) for p in result.profiles)
         else None,

@@ -149,6 +149,13 @@ def test_a_fit_that_never_ran_has_a_report_too(tmp_path):
     assert "svg" not in parsed.tags
 
 
+def test_numbers_on_axes_keep_their_digits(tmp_path):
+    root = np.linspace(-3, 3, 7)
+    one = Profile("force.kr", "", 0.1234 + 1e-4 * root, root, (0.1232, 0.1236), None)
+    text = page(tmp_path, result(500, profiles=(one,)))[2]
+    assert re.search(r"0\.123\d", text)
+
+
 def test_text_from_outside_is_text(tmp_path):
     html, _, _ = page(tmp_path, dataclasses.replace(result(200), message="<script>alert(1)</script>"))
     assert "<script>" not in html
@@ -174,8 +181,7 @@ def test_profiles_other_starts_and_the_noise_have_their_place(tmp_path):
     _, parsed, text = page(tmp_path, fit)
     assert parsed.tags.count("svg") == 2 + 1 + 2
     for words in (
-        "by profile",
-        "4962 … 5041",
+        "by profile 4962 … 5041",
         "The measurements leave force.kr open above the estimate.",
         "2 of 4 starts reached the best optimum, 1 ended in 1 worse one, 1 reached none",
         "Student's t with 4 degrees of freedom, autoregressive of order 2",
