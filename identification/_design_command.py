@@ -55,7 +55,8 @@ def run_design(
                 rate=rate,
                 noise=dict(_noise(text) for text in noise),
             )
-            with console.status("asking what each cut would tell"):
+            asking = "asking what each cut would tell"
+            with console.status(asking) as status:
                 result = design(
                     file.case,
                     measured,
@@ -65,6 +66,7 @@ def run_design(
                     recording=recording,
                     criterion=criterion,
                     count=count,
+                    progress=lambda done, of: status.update(f"{asking}: {done} of {of}"),
                 )
         except (CaseError, TraceError):
             raise

@@ -91,7 +91,7 @@ def test_what_measured_a_trace_can_be_said_and_be_free(tmp_path):
 
 
 def test_a_robot_takes_the_place_of_the_structure_and_has_poses(tmp_path):
-    case, _, _, robot, poses, load_test = blocks("toml")
+    case, _, _, _, robot, poses, load_test = blocks("toml")
     other = re.sub(r"\[structure\].*?(?=\[simulation\])", lambda _: robot, case, flags=re.DOTALL)
     rows = [f"{0.1 * i:.1f},1,2,3,4" for i in range(100)]
     for name in ("pose1.csv", "pose2.csv"):
