@@ -20,6 +20,7 @@ SUBJECTS = {
     "surface": "Walls and entries",
     "gradients": "Gradients",
     "recovery": "Recovering known parameters",
+    "posterior": "Posterior by sampling",
     "compliances": "Recovering joint compliances",
     "instrument": "Traces of an instrument",
     "coverage": "Honest intervals",

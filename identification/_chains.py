@@ -182,7 +182,7 @@ def _block(density: Density, adapting: Array, acceptance: Array, chain: Chain) -
 def go_on(density: Density, adapting: Array, acceptance: Array, chain: Chain) -> tuple[Chain, Draws]:
     """The chain `BLOCK` draws on; `adapting` says whether the length of its steps still is, to this rate of acceptance."""
     transition, mass = nuts.build_kernel(), jnp.ones_like(density.centre)
-    _, updated, adapted = dual_averaging_adaptation(acceptance)
+    _, updated, adapted = dual_averaging_adaptation(acceptance)  # pyright: ignore[reportArgumentType]
 
     def draw(chain: Chain, _):
         now, key = jax.random.split(chain.key)

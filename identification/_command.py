@@ -131,7 +131,7 @@ def _sampled(result: FitResult, options: Options) -> FitResult:
             drawn = sample(result, draws=options.posterior, seed=options.seed, progress=lambda p: show(_line(p)))
     except KeyboardInterrupt:
         return replace(result, message=f"{result.message} The posterior was stopped by the user.")
-    except ValueError as error:
+    except (ValueError, ImportError) as error:
         return replace(result, message=f"{result.message} No posterior: {error}.")
     return replace(result, posterior=drawn, seed=options.seed)
 

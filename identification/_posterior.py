@@ -99,6 +99,7 @@ def sample(
         y=np.asarray(y),
         estimate=np.array([e.value for e in result.parameters]),
         error=np.array([e.std for e in result.parameters]),
+        interval=np.array([e.ci95 for e in result.parameters]),
         rhat=rhat,
         ess=ess,
         divergences=divergences,

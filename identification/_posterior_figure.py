@@ -1,5 +1,7 @@
 """The picture of a posterior, as SVG."""
 
+import textwrap
+
 import matplotlib
 import numpy as np
 from jaxtyping import Float
@@ -27,11 +29,11 @@ def posterior(found: Posterior, result: FitResult) -> str:
     what the fit says."""
     unlike = np.abs(found.shift) + np.abs(found.ratio - 1)
     shown = np.sort(np.argsort(-unlike, kind="stable")[:MOST])
-    n, names, units = len(shown), found.names, [unit_words(unit) or "-" for unit in found.units]
-    draws = found.draws.reshape(-1, len(names))
+    n, draws = len(shown), found.draws.reshape(-1, len(found.names))
+    labels = [_label(name, unit) for name, unit in zip(found.names, found.units, strict=True)]
     dots = draws[np.linspace(0, len(draws) - 1, min(_DOTS, len(draws))).astype(int)]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1 + 1.7 * n, 0.8 + 1.5 * n), layout="constrained")
+        figure = Figure(figsize=(1 + 1.7 * n, 0.8 + 1.5 * n), layout="constrained", dpi=200)
         grid = figure.subplots(n, n, squeeze=False, sharex="col")
         for (row, column), axes in np.ndenumerate(grid):
             i, j = int(shown[row]), int(shown[column])
@@ -48,13 +50,18 @@ def posterior(found: Posterior, result: FitResult) -> str:
                 axes.plot(dots[:, j], dots[:, i], ".", color=COLOURS["x"], alpha=0.3, markersize=2, rasterized=True)
                 _normal(axes, found, result, j, i)
             if row == n - 1:
-                axes.set_xlabel(f"{names[j]}\n[{units[j]}]", fontsize=8)
+                axes.set_xlabel(labels[j], fontsize=8)
             if column == 0 and row > 0:
-                axes.set_ylabel(f"{names[i]}\n[{units[i]}]", fontsize=8)
+                axes.set_ylabel(labels[i], fontsize=8)
             elif column > 0:
                 axes.tick_params(labelleft=False)
         grid[0, 0].set_title("blue: draws; lines: as the fit says")
         return svg(figure, "posterior of the parameters")
+
+
+def _label(name: str, unit: str) -> str:
+    """Name and unit, in lines short enough for the side of a square."""
+    return "\n".join(textwrap.wrap(name.replace(".", ". "), 20)).replace(". ", ".") + f"\n[{unit_words(unit) or '-'}]"
 
 
 def _marginal(axes: Axes, draws: Float[np.ndarray, " draws"], estimate: float, error: float) -> None:

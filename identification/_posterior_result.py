@@ -16,9 +16,9 @@ from ._result import FitResult
 RHAT, ESS = 1.01, 400.0
 """R-hat from which on, and effective number of draws below which, a posterior is not to be trusted (Vehtari et al. 2021)."""
 
-MEAN_AGREES, STD_AGREES = 0.2, 0.1
-"""Up to which distance of the mean from the estimate, in standard errors, and relative difference of the standard deviation
-a posterior is as the fit says."""
+MEAN_AGREES, STD_AGREES, INTERVAL_AGREES = 0.2, 0.1, 0.3
+"""Up to which distance of the mean from the estimate, in standard errors, relative difference of the standard deviation, and
+distance of the ends of the 95 % intervals a posterior is as the fit says."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Posterior:
     - `status`: "sampled", or "interrupted" where the user stopped it.
     - `names`, `units`: of the parameters, in the order of the fit.
     - `draws`: their values in `units`, shape (chains, draws, n); `y` the solver's coordinates of the same.
-    - `estimate`, `error`: value and standard error that the fit gave, in `units`, shape (n,).
+    - `estimate`, `error`: value and standard error that the fit gave, in `units`, shape (n,); `interval` its 95 % intervals,
+      shape (n, 2).
     - `rhat`, `ess`: rank-normalised split R-hat, and bulk effective sample size (Vehtari et al. 2021), shape (n,).
     - `divergences`: draws whose path could not be followed; `failures`: of them, those that came to where the simulation
       cannot be used.
@@ -48,6 +49,7 @@ class Posterior:
     y: Float[np.ndarray, "chains draws n"]
     estimate: Float[np.ndarray, " n"]
     error: Float[np.ndarray, " n"]
+    interval: Float[np.ndarray, "n 2"]
     rhat: Float[np.ndarray, " n"]
     ess: Float[np.ndarray, " n"]
     divergences: int
@@ -87,9 +89,11 @@ class Posterior:
 
     @property
     def agrees(self) -> bool:
-        """Whether estimates and standard errors of the fit, Laplace's approximation, say the same: means within 0.2 standard
-        errors, standard deviations within 10 %."""
-        return bool((np.abs(self.shift) <= MEAN_AGREES).all() and (np.abs(self.ratio - 1) <= STD_AGREES).all())
+        """Whether the fit, which takes the posterior for normal in the solver's coordinates (Laplace's approximation), says
+        the same: means within 0.2 standard errors, standard deviations within 10 %, ends of intervals within 0.3."""
+        ends = np.abs(self.ci95 - self.interval) / self.error[:, None]
+        means, widths = np.abs(self.shift), np.abs(self.ratio - 1)
+        return bool(max(means.max() / MEAN_AGREES, widths.max() / STD_AGREES, ends.max() / INTERVAL_AGREES) <= 1)
 
     def bands(self, result: FitResult, draws: int = 100) -> list[tuple[np.ndarray, np.ndarray]]:
         """Between which values the model lies with 95 %, by what is not known of the parameters: the noise comes on top.

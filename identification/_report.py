@@ -109,7 +109,7 @@ def _posterior_words(found: Posterior) -> str:
     words = (
         f"{draws} draws in each of {chains} chains by the No-U-Turn sampler; largest R-hat {found.rhat.max():.3f}, fewest "
         f"effective draws {found.ess.min():.0f}. {agrees} (means within 0.2 standard errors, standard deviations within "
-        "10 %)."
+        "10 %, ends of the intervals within 0.3 standard errors)."
     )
     return f"{words} {found.reason}" if found.reason else words
 

@@ -18,6 +18,7 @@ from .recovery import GUESS, SIGMA_DISPLACEMENT, SIGMA_FORCE, _value
 def figures():
     yield from _normal()
     yield from _skewed()
+    yield from _bent()
 
 
 def _normal():
@@ -46,20 +47,49 @@ def _normal():
 
 
 def _skewed():
-    """Two parameters that a short and noisy trace hardly tells apart: the posterior is a bent ridge."""
-    case, sigma = slot(axes=(), duration=0.03), 40.0
-    sim = mx.simulate(case)
-    measured = np.asarray(sim.force[:, :2]) + sigma * np.random.default_rng(0).normal(size=(len(sim.time), 2))
-    trace = ident.Trace(np.asarray(sim.time), ("Fx", "Fy"), measured, {"Fx": sigma, "Fy": sigma})
-    names = ("force.k0", "force.hs")
-    result = ident.fit(
-        case, trace, [ident.Parameter("force.k0", bounds=LIMITS[0]), ident.Parameter("force.hs", bounds=LIMITS[1])]
-    )
-    found = ident.sample(result)
+    """Two parameters that a short trace with much noise hardly tells, one of them within bounds; the noise is estimated."""
+    case, trace = _short(sigma=200.0)
+    names, low, high = ("force.r", "force.kr"), 0.1, 0.6
+    result = ident.fit(case, trace, [names[0], ident.Parameter(names[1], bounds=(low, high))])
+    found = ident.sample(result, draws=10000)
 
     @jax.jit
-    def squares(k0, hs):
-        changed = eqx.tree_at(lambda c: (c.force.k0, c.force.hs), case, (k0, hs))
-        return jnp.sum((mx.simulate(changed, throw=False).force[:, :2] - measured) ** 2)
+    def log(r, kr):
+        changed = eqx.tree_at(lambda c: (c.force.r, c.force.kr), case, (r, kr))
+        residuals = mx.simulate(changed, throw=False).force[:, :2] - trace.values
+        return -len(residuals) / 2 * jnp.sum(jnp.log(jnp.sum(residuals**2, axis=0)))
 
-    ends = [(found.draws[..., i].min(), found.draws[..., i].max()) for i in range(2)]
+    values = np.linspace(0.001, 0.3, 100), low + (high - low) * (np.arange(60) + 0.5) / 60
+    density = np.array([[float(log(r, kr)) for kr in values[1]] for r in values[0]])
+    density = np.exp(density - density.max())
+    what = "force.r and force.kr of 0.03 s with much noise"
+    yield below(f"{what}: largest R-hat", found.rhat.max(), 1.01, form=".4f")
+    yield Figure(f"{what}: smallest bulk ESS", f"{found.ess.min():.0f}", "> 400", bool(found.ess.min() > 400))
+    yield Figure(f"{what}: as the fit says", "yes" if found.agrees else "no", "no", not found.agrees)
+    for i, (name, value) in enumerate(zip(names, values, strict=True)):
+        marginal = density.sum(axis=1 - i) / density.sum()
+        mean = marginal @ value
+        std = np.sqrt(marginal @ (value - mean) ** 2)
+        ends = np.interp([0.025, 0.975], np.cumsum(marginal) - marginal / 2, value)
+        yield below(f"{name}: mean beside the integral, in standard deviations", abs(found.mean[i] - mean) / std, 0.1)
+        yield near(f"{name}: standard deviation over that of the integral", found.std[i] / std, 1.0, 0.06, form=".3f")
+        off = np.abs(found.ci95[i] - ends).max() / std
+        yield below(f"{name}: ends of the 95 % interval beside the integral, in standard deviations", off, 0.2)
+        off = np.abs(found.interval[i] - ends).max() / std
+        yield Figure(f"{name}: the same, those of the fit", f"{off:.2f}", "", None)
+
+
+def _bent():
+    """Two parameters that one feed hardly tells apart: the posterior is a long bent ridge, and too much for the default."""
+    case, trace = _short(sigma=20.0)
+    found = ident.sample(ident.fit(case, trace, ["force.hs", "force.r"]), draws=400)
+    said = "nothing" if found.reason is None else f"R-hat {found.rhat.max():.2f}, {found.divergences} divergences"
+    yield Figure("force.hs and force.r of 0.03 s at one feed: what is said", said, "not to be trusted", bool(found.reason))
+
+
+def _short(sigma: float) -> tuple[mx.Case, ident.Trace]:
+    """0.03 s of forces on a rigid tool, and a case with the truth in it."""
+    case = slot(axes=(), duration=0.03)
+    sim = mx.simulate(case)
+    measured = np.asarray(sim.force[:, :2]) + sigma * np.random.default_rng(0).normal(size=(len(sim.time), 2))
+    return case, ident.Trace(np.asarray(sim.time), ("Fx", "Fy"), measured)
