@@ -130,14 +130,20 @@ def begin(density: Density, key: PRNGKeyArray) -> Chain:
 def at(density: Density, z: Float[Array, " n"]) -> HMCState | None:
     """A point with its logarithm and gradient, by the program that the fit has compiled; None where the simulation may not
     be used."""
-    y, weight = density.y(z), density.noise.sigma[:, None, None] ** -2
-    found = evaluate(density.model, density.noise, y)
-    jacobian, errors = found.triangles[:, :, :-1], found.triangles[:, :, -1:]
+    found = evaluate(density.model, density.noise, density.y(z))
+    state, finite = _state(density, z, found.triangles)
+    return state if int(found.status) == 0 and found.covered and finite else None
+
+
+@eqx.filter_jit
+def _state(density: Density, z: Float[Array, " n"], triangles: Float[Array, "channels n+1 n+1"]) -> tuple[HMCState, Array]:
+    """From the triangular factors of residuals and Jacobian; and whether all of it is finite."""
+    weight = density.noise.sigma[:, None, None] ** -2
+    jacobian, errors = triangles[:, :, :-1], triangles[:, :, -1:]
     squares, slopes = jnp.sum(weight * errors**2, axis=(1, 2)), jnp.sum(2 * weight * errors * jacobian, axis=1)
-    value, (by_squares, by_y) = jax.value_and_grad(density.total, (0, 1))(squares, y)
+    value, (by_squares, by_y) = jax.value_and_grad(density.total, (0, 1))(squares, density.y(z))
     gradient = density.spread.T @ (by_squares @ slopes + by_y)
-    good = int(found.status) == 0 and bool(found.covered) and bool(jnp.isfinite(value) & jnp.isfinite(gradient).all())
-    return HMCState(z, value, gradient) if good else None
+    return HMCState(z, value, gradient), jnp.isfinite(value) & jnp.isfinite(gradient).all()
 
 
 def drawn(
