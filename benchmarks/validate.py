@@ -24,7 +24,7 @@ SUBJECTS = {
     "compliances": "Recovering joint compliances",
     "instrument": "Traces of an instrument",
     "coverage": "Honest intervals",
-    "fits": "Fits from many starts, and in little time",
+    "fits": "Fits from many starts",
     "design": "The next cut",
     "stability": "Limits of stability",
     "robot": "The robot at the tool",

@@ -1,4 +1,4 @@
-"""Fits from many starts; and how long a fit takes."""
+"""Fits from many starts, and a question without an answer."""
 
 from collections.abc import Iterator
 
