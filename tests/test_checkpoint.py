@@ -211,18 +211,21 @@ import sys, time
 import jax
 jax.numpy.zeros(1).block_until_ready()  # the programs are those of the tests, compiled already
 from identification import _command, cli
-line = _command._line
+stage, line = sys.argv[1], _command._line
 def slowly(progress):
-    time.sleep(0.0 if "compiling" in progress.stage else 0.4)
-    return line(progress)
+    said = line(progress)
+    if said.startswith(stage):
+        print(said, flush=True)
+        time.sleep(30)  # until it is ended
+    return said
 _command._line = slowly
-sys.exit(cli.main(sys.argv[1:]))
+sys.exit(cli.main(sys.argv[2:]))
 """
 
 
 def ended_in(stage, by, arguments):
     """Run a command until it says that it is in a stage, then end it by a signal; its exit code and what it said."""
-    run = subprocess.Popen([sys.executable, "-c", SLOW, *arguments], **here(), stdout=subprocess.PIPE, text=True)
+    run = subprocess.Popen([sys.executable, "-c", SLOW, stage, *arguments], **here(), stdout=subprocess.PIPE, text=True)
     said = []
     for line in run.stdout:
         said.append(line)
