@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ._align import align
+    from ._average import SynchronousAverage, synchronous_average
     from ._fit import Progress, fit
     from ._fitfile import FitProblem, load_fit
     from ._identifiability import Check, Prospect, check
@@ -40,6 +41,7 @@ __all__ = [
     "Profile",
     "Progress",
     "Prospect",
+    "SynchronousAverage",
     "Tie",
     "Trace",
     "TraceError",
@@ -54,11 +56,13 @@ __all__ = [
     "quality",
     "read_load_test",
     "read_trace",
+    "synchronous_average",
     "synthetic_trace",
 ]
 
 _HOMES = {
     "_align": ("align",),
+    "_average": ("SynchronousAverage", "synchronous_average"),
     "_fit": ("Progress", "fit"),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),
