@@ -11,9 +11,9 @@ What is decided before anything is scored:
 - The model: force law with an edge force in each direction, every coefficient but the bend of the law one of each tooth;
   runout; a measuring chain of one resonance per axis, or of five that couple the axes. A static force passes either as it
   is. Laws are compared with one resonance per axis; the linear one, the classical one here, is held against the floor.
-- The weights: what such a model misses is no noise. It repeats with every turn and grows with the force, whose axes leak into
-  each other: sigma is three tenths of the varying force of a trace, root mean square over its three axes; and, square to
-  square, what does not repeat in a channel, which no such model can explain.
+- The weights: what such a model misses is no noise. It repeats with every turn and grows with the force, whose axes leak
+  into each other: sigma is three tenths of the varying force of a trace, root mean square over its three axes; and, square
+  to square, what does not repeat in a channel, which no such model can explain.
 - The starts: coefficients from the mean forces, resonances at 1 or 2 kHz with 5 % damping, phases by alignment, runout a
   third or two thirds of the smallest feed per tooth. Of several starts the best by cost is taken. The five modes start from
   the resonances per axis, and from where most is left of the spectrum.
@@ -26,6 +26,7 @@ import platform
 import time
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,6 +73,9 @@ EARLIEST = 0.05
 
 STARTS = ((1000.0, -8e-6), (2000.0, -16e-6))
 """Frequencies of resonances [Hz] and runout [m]."""
+
+AGAIN = 3
+"""How often a fit that is stuck goes on from where it is, with steps as bold as at first."""
 
 MODES = 5
 
@@ -181,7 +185,13 @@ def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[P
     for cases in cases_of_starts:
         results.append(fit(cases, data.turns, parameters, check=False))
         say(f"  {len(results)} of {len(cases_of_starts)}: cost {results[-1].cost:.1f}, {results[-1].status}")
-    return min(results, key=lambda result: result.cost)
+    best = min(results, key=lambda result: result.cost)
+    for _ in range(AGAIN):
+        if best.status != "not_converged":
+            break
+        best = fit(list(best.cases), data.turns, parameters, check=False)
+        say(f"  from there: cost {best.cost:.2f}, {best.status}")
+    return best
 
 
 def fit_per_axis(data: Data, law: mx.ForceLaw, bend: list[Parameter], say) -> FitResult:
@@ -211,7 +221,7 @@ def fit_coupled(data: Data, before: FitResult, bend: list[Parameter], say) -> Fi
     resonances = mx.Resonances(
         jnp.concatenate([own.frequency, 1.02 * jnp.asarray(more)]), [*inner, *[0.1] * len(more)], residue
     )
-    cases = [dataclasses.replace(c, sensor=dataclasses.replace(c.sensor, resonances=resonances)) for c in before.cases]
+    cases = [eqx.tree_at(lambda c: c.sensor.resonances, case, resonances) for case in before.cases]
     return best_of(data, [cases], coupled_parameters(resonances, before, bend), say)
 
 
@@ -223,7 +233,8 @@ def coupled_parameters(resonances: mx.Resonances, result: FitResult, bend: list[
 
 def resonances_of(result: FitResult) -> mx.Resonances:
     sensor = result.cases[0].sensor
-    assert sensor is not None and sensor.resonances is not None
+    assert sensor is not None
+    assert sensor.resonances is not None
     return sensor.resonances
 
 
@@ -292,6 +303,7 @@ def widened(result: FitResult, n: float) -> dict[str, float]:
 
 def predicted(case: mx.Case, trace: Trace, speed_error: float) -> np.ndarray:
     """A fitted case beside a recording as it is, shape (samples, channels)."""
+    assert case.clock is not None
     clock = mx.Clock(case.clock.start, speed_error)
     length = EARLIEST + 0.05 + (trace.time[-1] - trace.time[0])
     longer = mx.Settings.suited(case.tool, case.force, case.structure, case.cut, length)
@@ -309,7 +321,9 @@ def scores(data: Data, result: FitResult, floor, aim) -> tuple[list[Figure], lis
     for i, (feed, trace, average) in enumerate(zip(FEEDS, data.whole, data.averages, strict=True)):
         model = predicted(result.cases[i], trace, average.speed_error)
         found = dict(zip(trace.channels, r2(trace.values, model), strict=True))
-        bias = np.asarray(result.cases[i].sensor.bias)
+        sensor = result.cases[i].sensor
+        assert sensor is not None
+        bias = np.asarray(sensor.bias)
         for axis, force in AXES.items():
             least = floor.get(axis, (None,) * 3)[i]
             target = f"{'' if least is None else f'≥ {least:.2f}, '}aim {aim[axis][i]:.2f}, ceiling {average.r2[force]:.3f}"
@@ -368,6 +382,8 @@ def classical(data: Data) -> tuple[mx.LinearLaw, list[Figure]]:
     figures = []
     for one in found.coefficients:
         scale, unit = (1e6, "N/mm²") if one.name.endswith("c") else (1e3, "N/mm")
+        assert one.value is not None, one.reason
+        assert one.std is not None
         told = f"{one.value / scale:.1f} ± {one.std / scale:.1f} {unit}"
         figures.append(Figure(f"{one.name} of three feeds", told, f"{PUBLISHED[one.name]} {unit}, of five feeds", None))
     return found.law(), figures
