@@ -10,7 +10,8 @@ What is decided before anything is scored:
 
 - The model: force law with an edge force in each direction, every coefficient but the bend of the law one of each tooth;
   runout; a measuring chain of one resonance per axis, or of five that couple the axes. A static force passes either as it
-  is. Laws are compared with one resonance per axis; the linear one, the classical one here, is held against the floor.
+  is. Laws are compared with one resonance per axis; the linear one, the classical one here, is held against the floor, and
+  has the coupled chain.
 - The weights: what such a model misses is no noise. It repeats with every turn and grows with the force, whose axes leak
   into each other: sigma is three tenths of the varying force of a trace, root mean square over its three axes; and, square
   to square, what does not repeat in a channel, which no such model can explain.
@@ -25,6 +26,7 @@ import dataclasses
 import platform
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -38,12 +40,14 @@ mx.set_up()
 from rich.console import Console  # noqa: E402
 
 from identification import (  # noqa: E402
+    Estimate,
     FitResult,
     Parameter,
     Prior,
     SynchronousAverage,
     Trace,
     align,
+    check,
     fit,
     mean_force_fit,
     read_trace,
@@ -74,13 +78,16 @@ EARLIEST = 0.05
 STARTS = ((1000.0, -8e-6), (2000.0, -16e-6))
 """Frequencies of resonances [Hz] and runout [m]."""
 
-AGAIN = 3
+AGAIN = 1
 """How often a fit that is stuck goes on from where it is, with steps as bold as at first."""
 
 MODES = 5
 
 MISSED = 0.3
 """What is missed, in parts of the varying force."""
+
+OFFSETS = Prior(mean=0.0, std=10.0)
+"""Of a charge amplifier that drifts [N]."""
 
 RESIDUES = Prior(mean=0.0, std=1.0)
 """What is known of a coupled chain: its residues are of the order of the static gain, 1."""
@@ -160,7 +167,7 @@ def by_tooth(law: mx.ForceLaw, teeth: int = 2) -> tuple[mx.ForceLaw, list[Parame
 OF_TRACES = [
     Parameter("tool.runout.1"),
     Parameter("clock.start", each=True),
-    *[Parameter(f"sensor.bias.{axis}", each=True) for axis in "xyz"],
+    *[Parameter(f"sensor.bias.{axis}", each=True, prior=OFFSETS) for axis in "xyz"],
 ]
 
 
@@ -168,7 +175,7 @@ def chain(resonances: mx.Resonances, names: list[str], prior: Prior | None) -> l
     """The numbers of a measuring chain that are free: every frequency, damping ratio, and residues of these names."""
     modes = range(1, len(resonances.frequency) + 1)
     return [
-        *[Parameter(f"sensor.resonances.frequency.mode_{m}", bounds=("300 Hz", "4.5 kHz")) for m in modes],
+        *[Parameter(f"sensor.resonances.frequency.mode_{m}", bounds=("0.4 kHz", "4.5 kHz")) for m in modes],
         *[Parameter(f"sensor.resonances.damping_ratio.mode_{m}", bounds=(0.01, 0.5)) for m in modes],
         *[Parameter(f"sensor.resonances.residue.{name}", prior=prior) for name in names],
     ]
@@ -179,7 +186,14 @@ def per_axis(frequency: float) -> tuple[mx.Resonances, list[Parameter]]:
     return resonances, chain(resonances, [f"mode_{m}.{a}.{a}" for m, a in zip((1, 2, 3), "xyz", strict=True)], None)
 
 
-def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[Parameter], say) -> FitResult:
+class Fitted(NamedTuple):
+    """A fit and what was free in it."""
+
+    result: FitResult
+    parameters: list[Parameter]
+
+
+def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[Parameter], say) -> Fitted:
     """The fit with the lowest cost; the starts share one compiled program."""
     results = []
     for cases in cases_of_starts:
@@ -191,10 +205,10 @@ def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[P
             break
         best = fit(list(best.cases), data.turns, parameters, check=False)
         say(f"  from there: cost {best.cost:.2f}, {best.status}")
-    return best
+    return Fitted(best, parameters)
 
 
-def fit_per_axis(data: Data, law: mx.ForceLaw, bend: list[Parameter], say) -> FitResult:
+def fit_per_axis(data: Data, law: mx.ForceLaw, bend: list[Parameter], say) -> Fitted:
     """One resonance per axis."""
     law, coefficients = by_tooth(law)
     starts, parameters = [], []
@@ -210,7 +224,7 @@ def fit_per_axis(data: Data, law: mx.ForceLaw, bend: list[Parameter], say) -> Fi
     return best_of(data, starts, [*coefficients, *bend, *OF_TRACES, *parameters], say)
 
 
-def fit_coupled(data: Data, before: FitResult, bend: list[Parameter], say) -> FitResult:
+def fit_coupled(data: Data, before: FitResult, bend: list[Parameter], say) -> Fitted:
     """Modes that couple the axes, from the result with one resonance per axis."""
     own = resonances_of(before)
     more = [line.frequency for line in lines(before)]
@@ -294,11 +308,21 @@ def of_turn(result: FitResult, force: str) -> str:
     return " ".join(f"{one.r2[force]:.2f}" for one in result.traces)
 
 
-def widened(result: FitResult, n: float) -> dict[str, float]:
-    """Standard errors as if the residuals were n independent numbers of the size they have, and not 2700 of size sigma."""
-    k, samples = len(result.parameters), sum(one.residuals.size for one in result.traces)
-    factor = np.sqrt(misfit(result) * samples / max(n - k, 1.0))
-    return {e.name: float("nan") if e.std is None else e.std / e.widened * factor for e in result.parameters}
+def intervals(data: Data, fitted: Fitted, n: float) -> dict[str, float | None]:
+    """Half of the 95 % intervals: from the Fisher information at the estimates, as if the residuals were n independent
+    numbers of the size they have. None where a bound decides, or the measurements leave a parameter open."""
+    result, samples = fitted.result, sum(one.residuals.size for one in fitted.result.traces)
+    factor = np.sqrt(misfit(result) * samples / max(n - len(result.parameters), 1.0))
+    free = [p for p in fitted.parameters if p.name not in {e.name for e in result.parameters if bounded(e)}]
+    known = check(list(result.cases), data.turns, [dataclasses.replace(p, guess=None) for p in free])
+    std = {prospect.name: prospect.std for prospect in known.parameters}
+    found = {e.name: std.get(e.name) for e in result.parameters}
+    return {name: None if one is None else float(1.96 * factor * one) for name, one in found.items()}
+
+
+def bounded(e: Estimate) -> bool:
+    """Whether an estimate is at a bound."""
+    return any(b is not None and abs(e.value - b) <= 1e-3 * max(abs(b), 1e-9) for b in e.bounds)
 
 
 def predicted(case: mx.Case, trace: Trace, speed_error: float) -> np.ndarray:
@@ -350,10 +374,11 @@ def halves(data: Data) -> tuple[Data, list[Trace]]:
     return Data(first, averaged(first)), second
 
 
-def prediction(data: Data, result: FitResult, parameters: list[Parameter], say) -> list[Figure]:
+def prediction(data: Data, fitted: Fitted, say) -> list[Figure]:
     """R² of the second halves under the model of the first ones, beside what a fit of the whole has there."""
     first, second = halves(data)
-    again = best_of(first, [list(result.cases)], parameters, say)
+    result = fitted.result
+    again = best_of(first, [list(result.cases)], fitted.parameters, say).result
     found = []
     for i, feed in enumerate(FEEDS):
         whole, middle = data.whole[i], len(first.whole[i].time)
@@ -366,12 +391,12 @@ def prediction(data: Data, result: FitResult, parameters: list[Parameter], say) 
     return found
 
 
-def coefficients(result: FitResult, n: float) -> list[Figure]:
-    """Every estimate with its widened interval."""
-    std = widened(result, n)
+def estimates(data: Data, fitted: Fitted, n: float) -> list[Figure]:
+    """Every estimate with its interval, but for residues."""
+    half = intervals(data, fitted, n)
     return [
-        Figure(e.name, f"{e.value:.5g}", f"± {1.96 * std[e.name]:.2g} {e.unit}", None)
-        for e in result.parameters
+        Figure(e.name, f"{e.value:.5g} {e.unit}", "open" if half[e.name] is None else f"± {half[e.name]:.2g}", None)
+        for e in fitted.result.parameters
         if not e.name.startswith("sensor.resonances.residue")
     ]
 
@@ -387,6 +412,16 @@ def classical(data: Data) -> tuple[mx.LinearLaw, list[Figure]]:
         told = f"{one.value / scale:.1f} ± {one.std / scale:.1f} {unit}"
         figures.append(Figure(f"{one.name} of three feeds", told, f"{PUBLISHED[one.name]} {unit}, of five feeds", None))
     return found.law(), figures
+
+
+def report(title: str, data: Data, fitted: Fitted, floor, page) -> None:
+    """All pages of a fit."""
+    result, n = fitted.result, effective(fitted.result)
+    fits, means = scores(data, result, floor, AIM)
+    page(f"{title}: R² of the whole recordings, {len(result.parameters)} parameters", fits)
+    page(f"{title}: mean forces", means)
+    page(f"{title}: numbers, 95 % intervals for {n:.0f} independent residuals", estimates(data, fitted, n))
+    page(f"{title}: largest lines that are left", told(lines(result)))
 
 
 def main() -> int:
@@ -406,40 +441,29 @@ def main() -> int:
     data = read(options.folder)
     law, figures = classical(data)
     page("Coefficients from mean forces", figures)
-    tried, bends = {}, {}
+    tried = {}
     for name, (guess, bend) in laws(law).items():
         say(f"one resonance per axis, {name} law")
-        tried[name], bends[name] = fit_per_axis(data, guess, bend, say), bend
-    n = effective(min(tried.values(), key=misfit))
-    best = min(tried, key=lambda name: bic(tried[name], n))
+        tried[name] = fit_per_axis(data, guess, bend, say)
+    results = {name: fitted.result for name, fitted in tried.items()}
+    n = effective(min(results.values(), key=misfit))
+    least = min(bic(result, n) for result in results.values())
     rows = [
         Figure(
-            f"{name} law, {len(result.parameters)} parameters",
-            f"{bic(result, n) - bic(tried[best], n):.1f}",
-            f"R² of X {of_turn(result, 'Fy')}, Y {of_turn(result, 'Fx')}, Z {of_turn(result, 'Fz')}, {result.status}",
+            f"{name}: {len(result.parameters)} parameters",
+            f"{bic(result, n) - least:.1f}",
+            f"X {of_turn(result, 'Fy')}, Y {of_turn(result, 'Fx')}, Z {of_turn(result, 'Fz')}",
             None,
         )
-        for name, result in tried.items()
+        for name, result in results.items()
     ]
-    page(f"Laws: BIC above the best, {n:.0f} independent residuals", rows)
-    result = tried["linear"]
-    n = effective(result)
-    fits, means = scores(data, result, FLOOR, AIM)
-    page(f"One resonance per axis, linear law, {len(result.parameters)} parameters, {n:.0f} independent residuals", fits)
-    page("Its mean forces", means)
-    page("Its numbers, with 95 % intervals for as many independent residuals", coefficients(result, n))
-    page("Its largest residual lines", told(lines(result)))
+    page(f"Laws: BIC above the least, with {n:.0f} independent residuals; R² of the turn that repeats", rows)
+    report("One resonance per axis, linear law", data, tried["linear"], FLOOR, page)
     say(f"{MODES} coupled modes")
-    coupled = fit_coupled(data, tried[best], bends[best], say)
-    n = effective(coupled)
-    fits, means = scores(data, coupled, {}, AIM)
-    page(f"{MODES} coupled modes, {best} law, {len(coupled.parameters)} parameters, {n:.0f} independent residuals", fits)
-    page("Mean forces with coupled modes", means)
-    page("Numbers with coupled modes", coefficients(coupled, n))
-    page("Largest residual lines with coupled modes", told(lines(coupled)))
+    coupled = fit_coupled(data, results["linear"], [], say)
+    report(f"{MODES} coupled modes, linear law", data, coupled, {}, page)
     say("fits of the first halves")
-    free = coupled_parameters(resonances_of(coupled), coupled, bends[best])
-    page("Coupled modes: the first half predicts the second", prediction(data, coupled, free, say))
+    page("Coupled modes: the first half predicts the second", prediction(data, coupled, say))
     missed = [figure for figure in every if figure.met is False]
     made = f"Made in {time.perf_counter() - begin:.0f} s; {platform.machine()}, JAX {jax.__version__}."
     console.print(made)

@@ -63,7 +63,7 @@ def synchronous_average(case: Case, trace: Trace, turns: int = 3) -> Synchronous
         return np.sum((trace.values - _fitted(time, trace.values, speed * (1 + e), lines)[1]) ** 2 / size)
 
     size = trace.values.var(axis=0)
-    error = float(fminbound(left, coarse - width, coarse + width, xtol=1e-3 * width))
+    error = np.asarray(fminbound(left, coarse - width, coarse + width, xtol=1e-3 * width)).item()
     amplitudes, fitted = _fitted(time, trace.values, speed * (1 + error), lines)
     rest = np.mean((trace.values - fitted) ** 2, axis=0)
     again = np.arange(round(turns * 2 * np.pi / (speed * trace.step))) * trace.step
