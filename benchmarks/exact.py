@@ -26,8 +26,9 @@ import millax as mx
 
 Position = Callable[[np.ndarray], np.ndarray]
 """Tool centre [m], shape (2, ...), at times t [s] of any shape (...); at t < 0 too, where the tool came from."""
-Forces = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""F_t, F_r, F_a of one tooth per unit of axial depth [N/m] by chip thickness h [m]; asked for h > 0 only."""
+Forces = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""F_t, F_r, F_a of teeth per unit of axial depth [N/m] by chip thickness h [m] and by which tooth it is, two arrays that
+broadcast; asked for h > 0 only."""
 
 ROUNDING = 1e-12
 """The last change of a secant, of an angle [rad]: what is left is smaller, of the size of rounding, 1e-15 m."""
@@ -106,14 +107,19 @@ class Cutter:
 
 
 def linear(kt, kr, ka=0.0, kte=0.0, kre=0.0, kae=0.0) -> Forces:
-    """F_t = k_t h + k_te, F_r = k_r k_t h + k_re, F_a = k_a k_t h + k_ae while h > 0."""
-    return lambda h: (kt * h + kte, kr * kt * h + kre, ka * kt * h + kae)
+    """F_t = k_t h + k_te, F_r = k_r k_t h + k_re, F_a = k_a k_t h + k_ae while h > 0; numbers, or one for each tooth."""
+
+    def forces(h, tooth):
+        t, r, a, te, re, ae = (np.asarray(x)[tooth] if np.ndim(x) else x for x in (kt, kr, ka, kte, kre, kae))
+        return t * h + te, r * t * h + re, a * t * h + ae
+
+    return forces
 
 
 def fractional(k0, hs, r, kr, ka=0.0) -> Forces:
     """F_t = k_0 h_s (u + r u²)/(1 + u) with u = h/h_s, F_r = k_r F_t, F_a = k_a F_t."""
 
-    def forces(h):
+    def forces(h, tooth):
         u = h / hs
         tangential = k0 * hs * (u + r * u**2) / (1 + u)
         return tangential, kr * tangential, ka * tangential
@@ -124,12 +130,12 @@ def fractional(k0, hs, r, kr, ka=0.0) -> Forces:
 def law_of(case: mx.Case) -> Forces:
     """The law of a case, fractional or linear."""
     law = case.force
-    ka = 0.0 if law.ka is None else float(law.ka)
     if isinstance(law, mx.FractionalLaw):
-        return fractional(*(float(x) for x in (law.k0, law.hs, law.r, law.kr)), ka)
+        return fractional(*(float(x) for x in (law.k0, law.hs, law.r, law.kr, 0.0 if law.ka is None else law.ka)))
     assert isinstance(law, mx.LinearLaw)
-    kt, kr, ke = float(law.kt), float(law.kr), float(law.ke)
-    kre, kae = (share * ke if own is None else float(own) for own, share in ((law.kre, kr), (law.kae, ka)))
+    kt, kr, ke = np.asarray(law.kt), np.asarray(law.kr), np.asarray(law.ke)
+    ka = 0.0 if law.ka is None else np.asarray(law.ka)
+    kre, kae = (share * ke if own is None else np.asarray(own) for own, share in ((law.kre, kr), (law.kae, ka)))
     return linear(kt, kr, ka, ke, kre, kae)
 
 
@@ -292,7 +298,7 @@ def _means(cutter, position, stock, forces, time, level, tooth, dt, passes, part
     h = thickness(cutter, position, stock, t.ravel(), level.ravel(), tooth.ravel(), passes).reshape(t.shape)
     cutting = h > 0
     phi, h, t = cutter.angle(t, level, tooth)[:, :parts], h[:, :parts], t[:, :parts]
-    tangential, radial, axial = (np.where(h > 0, f, 0.0) for f in forces(h))
+    tangential, radial, axial = (np.where(h > 0, f, 0.0) for f in forces(h, tooth[:, :parts]))
     damping, feed_rate = flank
     if damping:
         vx, vy = (position(t + INSTANT) - position(t - INSTANT)) / (2 * INSTANT)

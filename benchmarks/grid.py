@@ -204,6 +204,6 @@ def _force(cutter: Cutter, forces: Forces, t: float, h: Float[np.ndarray, "slice
     """On the tool along x, y, z [N]."""
     n = _directions(cutter, t)
     cos, sin = n[..., 0], -n[..., 1]
-    tangential, radial, axial = (np.where(h > 0, f, 0.0) * cutter.dz for f in forces(h))
+    tangential, radial, axial = (np.where(h > 0, f, 0.0) * cutter.dz for f in forces(h, np.arange(cutter.teeth)))
     parts = tangential * sin - radial * cos, tangential * cos + radial * sin, axial
     return np.array([part.sum() for part in parts])

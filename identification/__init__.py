@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ._align import align
+    from ._average import SynchronousAverage, synchronous_average
     from ._design import Design, Forecast, design
     from ._fit import fit
     from ._fitfile import FitProblem, load_fit
@@ -49,6 +50,7 @@ __all__ = [
     "Progress",
     "Prospect",
     "Recording",
+    "SynchronousAverage",
     "Tie",
     "Trace",
     "TraceError",
@@ -66,12 +68,14 @@ __all__ = [
     "read_load_test",
     "read_trace",
     "sample",
+    "synchronous_average",
     "synthetic_trace",
 ]
 
 _HOMES = {
     "_align": ("align",),
     "_design": ("Design", "Forecast", "design"),
+    "_average": ("SynchronousAverage", "synchronous_average"),
     "_fit": ("fit",),
     "_fitfile": ("FitProblem", "load_fit"),
     "_identifiability": ("Check", "Prospect", "check"),

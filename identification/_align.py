@@ -52,7 +52,7 @@ def align(case: Case, trace: Trace) -> Clock:
     harmonics = np.arange(1, HARMONICS * case.tool.teeth + 1)
     measured = trace.values[:, [trace.channels.index(channel) for channel in forces]]
     time = trace.time - trace.time[0]
-    error = _speed_error(time, measured, speed, harmonics)
+    error = speed_error(time, measured, speed, harmonics)
     found = _amplitudes(time, measured, speed * (1 + error), harmonics)
     model = _amplitudes(*_one_turn(case, trace, forces, earliest), speed, harmonics)
     # The trace at its time 0 is where the model is after this angle.
@@ -91,7 +91,7 @@ def _amplitudes(time: np.ndarray, values: np.ndarray, speed: float, harmonics: n
     return wave @ (values[:whole] - values[:whole].mean(axis=0)) / whole
 
 
-def _speed_error(time: np.ndarray, values: np.ndarray, speed: float, harmonics: np.ndarray) -> float:
+def speed_error(time: np.ndarray, values: np.ndarray, speed: float, harmonics: np.ndarray) -> float:
     """That with the most power at the multiples of the speed."""
     # Turn by turn, so that every error tried is a short sum.
     turn = 2 * np.pi / speed

@@ -39,6 +39,11 @@ class Case(eqx.Module):
         return self.structure if isinstance(self.structure, Arm) else None
 
     @property
+    def equal_teeth(self) -> bool:
+        """Whether all teeth are alike, so that every tooth period is like the one before."""
+        return self.tool.equal_teeth and self.force.equal_teeth
+
+    @property
     def at_tool(self) -> Structure:
         """The mass-spring-damper that the tool feels: the structure, or what follows from the robot."""
         return at_tool(self.structure)

@@ -45,6 +45,7 @@ _SHAPES = {
     "point": (lambda v: v.shape == (2,), "a list of two numbers"),
     "interval": (lambda v: v.shape == (2,) and v[0] < v[1], "a list of two numbers, the smaller first"),
     "list": (lambda v: v.ndim == 1, "a list with one number per tooth"),
+    "teeth": (lambda v: v.ndim <= 1, "one number, or a list with one per tooth"),
     "joints": (lambda v: v.ndim == 1, "a list with one number per joint"),
     "links": (lambda v: v.ndim == 1, "a list with one number per elastic link"),
     "modes": (lambda v: v.shape in ((), (6,)), "one number, or a list of six, one per mode"),
@@ -198,7 +199,7 @@ class Section:
 
 
 def _force(**keys: Key) -> Section:
-    return Section({"law": Choice(tuple(LAWS)), **keys})
+    return Section({"law": Choice(tuple(LAWS)), **keys, **_OF_EVERY_LAW})
 
 
 LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear": LinearLaw, "exponential": ExponentialLaw}
@@ -209,32 +210,29 @@ MODELS: dict[str, Callable[[], Robot]] = {
 }
 """Built-in robots by name."""
 
-PROCESS_DAMPING = Quantity("N/m", NOT_NEGATIVE, required=False)
+
+def _coefficient(unit: str = "", range: Range = ANY, *, required: bool = True) -> Quantity:
+    return Quantity(unit, range, "teeth", required)
+
+
+_OF_EVERY_LAW = {
+    "kr": _coefficient(),
+    "ka": _coefficient(required=False),
+    "ke": _coefficient("N/m", NOT_NEGATIVE, required=False),
+    "kre": _coefficient("N/m", required=False),
+    "kae": _coefficient("N/m", required=False),
+    "process_damping": _coefficient("N/m", NOT_NEGATIVE, required=False),
+}
 
 FORCE: dict[str, Section] = {
     "fractional": _force(
-        k0=Quantity("N/m^2", POSITIVE),
-        hs=Quantity("m", POSITIVE),
-        r=Quantity("", NOT_NEGATIVE),
-        kr=Quantity(""),
-        ka=Quantity("", required=False),
-        process_damping=PROCESS_DAMPING,
+        k0=_coefficient("N/m^2", POSITIVE), hs=_coefficient("m", POSITIVE), r=_coefficient("", NOT_NEGATIVE)
     ),
-    "linear": _force(
-        kt=Quantity("N/m^2", POSITIVE),
-        kr=Quantity(""),
-        ke=Quantity("N/m", NOT_NEGATIVE, required=False),
-        ka=Quantity("", required=False),
-        kre=Quantity("N/m", required=False),
-        kae=Quantity("N/m", required=False),
-        process_damping=PROCESS_DAMPING,
-    ),
+    "linear": _force(kt=_coefficient("N/m^2", POSITIVE)),
     "exponential": _force(
-        kf=Quantity(f"N/m^{EXPONENT}", POSITIVE),
+        kf=_coefficient(f"N/m^{EXPONENT}", POSITIVE),
+        # Units depend on it: it is one number.
         m=Quantity("", Range(0, 1, closed=False)),
-        kr=Quantity(""),
-        ka=Quantity("", required=False),
-        process_damping=PROCESS_DAMPING,
     ),
 }
 """The keys of [force], which depend on the law."""

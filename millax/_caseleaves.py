@@ -82,6 +82,6 @@ def labels(section: str, key: str, index: tuple[int, ...], table: Mapping[str, A
         return [f"mode_{index[0] + 1}", *(AXES[i] for i in index[1:])]
     if len(index) == 1 and section == "robot":
         return [f"{'mode' if key == 'damping_ratio' else 'joint'}_{index[0] + 1}"]
-    if len(index) == 1 and section != "tool" and "mode_shapes" not in table:
+    if len(index) == 1 and section not in ("tool", "force") and "mode_shapes" not in table:
         return [table.get("axes", AXES)[index[0]]]
     return [str(i) for i in index]

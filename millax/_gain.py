@@ -53,7 +53,8 @@ def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, by_lag: Flo
     """The gain over the lag in steps [-], from the position after a force in one step, and the velocity."""
     thickness = jnp.maximum(cut.feed_per_tooth(tool), width)
     in_contact = (tool.teeth + 1) // 2
-    kappa = in_contact * cut.depth * force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2)
+    of_teeth = force.tangential(thickness) / thickness * jnp.sqrt(1 + force.kr**2)
+    kappa = in_contact * cut.depth * jnp.max(of_teeth)
 
     def size(response):
         return jnp.linalg.norm(response.reshape(4, -1), axis=0)
@@ -61,7 +62,7 @@ def gain_of(tool: EndMill, force: ForceLaw, cut: Cut, width: Scalar, by_lag: Flo
     gain = kappa * size(by_lag[:, :2])
     if force.process_damping is None:
         return gain
-    by_velocity = in_contact * cut.depth * force.process_damping / (cut.spindle_speed * tool.radius)
+    by_velocity = in_contact * cut.depth * jnp.max(force.process_damping) / (cut.spindle_speed * tool.radius)
     return gain + by_velocity * size(by_lag[:, 2:])
 
 

@@ -156,7 +156,7 @@ def _simulate(case: Case) -> Simulation:
         time=(jnp.arange(settings.steps) + 0.5) * (case.cut.tooth_period(tool) / steps),
         force=jnp.stack([*(along.ravel() for along in force), *[jnp.zeros(settings.steps)] * (3 - forces)], axis=1),
         displacement=displacement,
-        chip_thickness=_by_tooth(chip) if tool.equal_teeth else _trace(chip),
+        chip_thickness=_by_tooth(chip) if case.equal_teeth else _trace(chip),
         residual=residual,
         status=status_of(case, largest, moved, residual),
         axes=structure.axes,
@@ -165,7 +165,8 @@ def _simulate(case: Case) -> Simulation:
 
 def model_of(case: Case) -> Model:
     """All that the march through the tooth periods depends on."""
-    tool, law, cut, settings = case.tool, case.force, case.cut, case.settings
+    tool, cut, settings = case.tool, case.cut, case.settings
+    law = case.force.for_steps(tool.teeth)
     steps = settings.steps_per_tooth
     m = steps // settings.blocks
     dt = cut.tooth_period(tool) / steps
@@ -186,7 +187,7 @@ def model_of(case: Case) -> Model:
         radius=tool.radius,
         place=_places(case, m),
         response=response,
-        contraction=lax.stop_gradient(jnp.sum(gain_of(tool, law, cut, settings.width, response.to_one_step()))),
+        contraction=lax.stop_gradient(jnp.sum(gain_of(tool, case.force, cut, settings.width, response.to_one_step()))),
         tolerance=reachable(settings.tolerance, dt.dtype),
         periods=jnp.asarray(settings.periods * parts, dt.dtype),
         steps_per_tooth=steps,
@@ -250,7 +251,7 @@ def _places(case: Case, m: int) -> Place:
     steps = settings.steps_per_tooth
     step_angle = 2 * np.pi / (tool.teeth * steps)
     period = steps if tool.pitch is None else m  # see `Model`
-    turn = 1 if tool.equal_teeth else tool.teeth * steps // period
+    turn = 1 if case.equal_teeth else tool.teeth * steps // period
     # Axes: periods, blocks, slices, borders, teeth, steps of a block.
     step = np.arange(period).reshape(1, -1, 1, 1, 1, m)
     begin = np.arange(turn).reshape(-1, 1, 1, 1, 1, 1) * period

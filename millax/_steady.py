@@ -184,7 +184,7 @@ class Period(eqx.Module):
     def of(case: Case) -> "Period":
         """For a steady case. Its settings count: steps, blocks, sweeps, passes, width and tolerance."""
         sweeps = case.settings.sweeps if case.at_tool.coordinates else 1
-        return Period(model_of(case), sweeps, case.settings.passes, 1 if case.tool.equal_teeth else case.tool.teeth)
+        return Period(model_of(case), sweeps, case.settings.passes, 1 if case.equal_teeth else case.tool.teeth)
 
     def at_rest(self) -> Orbit:
         """The tool on its path."""

@@ -92,7 +92,7 @@ class EndMill(eqx.Module):
 
     @property
     def equal_teeth(self) -> bool:
-        """Whether all teeth are alike, so that every tooth period is like the one before."""
+        """Whether all teeth are of one radius and equally spaced."""
         return self.pitch is None and self.equal_radii
 
     @property

@@ -330,3 +330,15 @@ def test_a_new_exponent_changes_the_unit_of_kf():
     # kf alone keeps its SI value when m changes, which its old unit would not allow.
     force = mx.CaseFile.from_text(file.with_values({"force.m": 0.6})).case.force
     assert float(force.kf) == pytest.approx(300 * 1000**1.7)
+
+
+def test_coefficients_of_each_tooth_have_names_of_their_own():
+    file = case_file(("kr = 0.3", 'kr = [0.3, 0.4, 0.3, 0.2]\nke = ["10 N/mm", "30 N/mm", 0, 2e3]'))
+    np.testing.assert_allclose(file.case.force.ke, [1e4, 3e4, 0.0, 2e3])
+    assert not file.case.equal_teeth
+    written = mx.CaseFile.from_text(file.with_values({"force.ke.1": 2.5e4, "force.kr.3": 0.25}), "cut.toml")
+    assert 'ke = ["10 N/mm", "25 N/mm", 0, 2e3]' in written.text
+    assert float(written.case.force.kr[3]) == 0.25
+    assert mx.load_case(written.tables).force.ke[1] == 2.5e4
+    with pytest.raises(mx.CaseError, match=r"force.kr: .* given; it must be one number, or a list with one per tooth"):
+        case_file(("kr = 0.3", "kr = [[0.3, 0.4], [0.3, 0.2]]"))

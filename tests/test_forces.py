@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ LAWS = {
     "linear": mx.LinearLaw(kt=8e8, kr=0.3, ke=1.2e4),
     "exponential": mx.ExponentialLaw(kf=3e6, m=0.7, kr=0.3),
     "fractional": mx.FractionalLaw(k0=5e9, hs=18e-6, r=0.1, kr=0.3),
+    "exponential with an edge": mx.ExponentialLaw(kf=3e6, m=0.7, kr=0.3, ke=1.2e4),
+    "fractional with an edge": mx.FractionalLaw(k0=5e9, hs=18e-6, r=0.1, kr=0.3, ke=1.2e4),
 }
 
 
@@ -83,3 +87,16 @@ def test_gradients_of_the_work_are_finite_out_of_contact(law):
 def test_bad_coefficients_are_named(make, message):
     with pytest.raises(ValueError, match=message.replace("^", r"\^")):
         make()
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+def test_edges_of_every_law(law):
+    assert law.own_edges is None
+    ke, kre, kae = law.edges
+    assert float(kre) == pytest.approx(0.3 * float(ke))
+    assert float(kae) == 0
+    own = dataclasses.replace(law, ka=0.2, kre=2e4, kae=-1e3)
+    # F_r = k_r (F_t - k_E) + k_rE, and the same of F_a.
+    assert [float(x) for x in own.own_edges] == pytest.approx([2e4 - 0.3 * float(ke), -1e3 - 0.2 * float(ke)])
+    with pytest.raises(ValueError, match=r"force.kae: given without force.ka"):
+        dataclasses.replace(law, kae=1e3)

@@ -16,6 +16,7 @@ HELIX = np.radians(30)
 UP, DOWN = mx.Stock.box((None, None), (0.0, None)), mx.Stock.box((None, None), (None, 0.0))
 PITCH = np.radians([82, 97, 86, 95])
 EDGES = mx.LinearLaw(1.5e9, 0.3, ke=1.5e4, ka=-0.25, kre=2e4, kae=-4e3)
+WORN = dataclasses.replace(EDGES, kr=[0.3, 0.5, 0.3, 0.2], ke=[1e4, 4e4, 0.0, 2e4], kae=[-1e3, -9e3, 0.0, 1e3])
 
 
 def cut(*, stock=None, force=None, structure=None, duration=0.012, depth=1e-3, settings=None, **tool) -> mx.Case:
@@ -46,6 +47,7 @@ CUTS = {
         "offset_angle": 0.3,
         "stock": ENDLESS,
     },
+    "worn teeth, up": {"force": WORN, "stock": UP},
 }
 
 
@@ -172,11 +174,24 @@ def test_edge_forces_of_a_full_slot():
     assert np.allclose(mean, [x, y, z], rtol=6e-3)
 
 
+def test_coefficients_of_each_tooth_that_are_all_the_same_are_one_number():
+    for law in (EDGES, mx.FractionalLaw(5e9, 18e-6, 0.1, 0.3, ka=0.2, ke=1e4, process_damping=2e6)):
+        listed = jax.tree.map(lambda x: jnp.full(4, x), law)
+        plain, table = (mx.simulate(cut(force=force, stock=DOWN, settings={"passes": 4})) for force in (law, listed))
+        for name in ("force", "displacement", "chip_thickness"):
+            assert difference(getattr(table, name), getattr(plain, name)) < 1e-9
+
+
+def test_coefficients_of_another_number_of_teeth_are_refused():
+    with pytest.raises(ValueError, match=r"force.kr: shape \(3,\) given; it must be one number, or one for each of the 4"):
+        mx.simulate(cut(force=dataclasses.replace(EDGES, kr=[0.3, 0.2, 0.1])))
+
+
 @pytest.mark.long
 def test_derivatives_of_the_tool_and_its_edges():
     def where(c):
         t, law = c.tool, c.force
-        edges = [law.ka, law.kre, law.kae, law.process_damping]
+        edges = [law.kr, law.ka, law.ke, law.kre, law.kae, law.process_damping]
         return [t.helix, t.pitch, t.runout, t.offset, t.offset_angle, t.diameter, *edges, c.cut.depth]
 
     structure = mx.Structure(("x", "y", "z"), 5.0, [[3e6, 2e5, 1e5], [2e5, 3e6, 4e5], [1e5, 4e5, 6e6]], damping=[300.0] * 3)
@@ -186,7 +201,7 @@ def test_derivatives_of_the_tool_and_its_edges():
         runout=[0.0, 4e-6, 8e-6, -4e-6],
         offset=5e-6,
         offset_angle=0.7,
-        force=dataclasses.replace(EDGES, process_damping=jnp.asarray(2e6)),
+        force=dataclasses.replace(WORN, process_damping=jnp.asarray([2e6, 1e6, 0.0, 3e6])),
         structure=structure,
         stock=mx.Stock.box((None, None), (-0.02, 0.001)),
         duration=0.009,
