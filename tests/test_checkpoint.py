@@ -207,7 +207,8 @@ def here():
 
 
 SLOW = """\
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a process started in the background ignores it
 import jax
 jax.numpy.zeros(1).block_until_ready()  # the programs are those of the tests, compiled already
 from identification import _command, cli

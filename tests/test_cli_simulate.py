@@ -181,7 +181,9 @@ def test_the_command_line_computes_in_double_precision(case_file, tmp_path):
     np.testing.assert_allclose(np.diff(table[:, 0]), 0.06 / 1600, rtol=1e-5)
     sim = mx.simulate(mx.load_case(case_file))
     for found, expected in ((table[:, 1:4], sim.force), (table[:, 4:], sim.displacement)):
-        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+        # Where the thickness hardly changes in a step, the mean of the law loses half of its digits; single precision would
+        # leave none of these.
+        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-8 * np.abs(expected).max())
 
 
 def test_a_warning_is_a_line_for_the_user(tmp_path, capsys):
