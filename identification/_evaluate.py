@@ -98,6 +98,11 @@ class Evaluation(eqx.Module):
     status: Array
     covered: Array
 
+    def cost(self, sigma: Float[np.ndarray, " channels"]) -> float:
+        """Sum of the squares of the independent residuals over the size of their noise, and of what was known."""
+        rows = np.asarray(self.triangles)[:, :, -1] / sigma[:, None]
+        return float(np.sum(rows**2) + np.sum(np.asarray(self.prior)[:, -1] ** 2))
+
     def whitened(self, sigma: Float[np.ndarray, " channels"], information: float = 1.0) -> Float[np.ndarray, "n+1 n+1"]:
         """The triangular factor of [J, e] over all channels, in units of their noise, and of what was known; for the
         uncertainty with the `information` of the noise."""

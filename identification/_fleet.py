@@ -29,7 +29,10 @@ MORE_SWEEPS = 4
 """Fixed-point sweeps of the simulations beyond those of a single one."""
 
 CONVERGED = 1e-3
-"""As of a single fit: length of the step left, in standard errors."""
+"""A fit ends where the Gauss-Newton step left is this many standard errors long."""
+
+ARRIVED = 0.1
+"""Where a solver finds no better point, rounding allowed, this many standard errors still count as the optimum."""
 
 STEPS = 60
 """Most evaluations of model and Jacobian of each fit."""

@@ -27,12 +27,6 @@ class Optimum:
     known: Uncertainty
     left: Colour | None
 
-    @property
-    def cost(self) -> float:
-        """Sum of the squares of the independent residuals over their noise."""
-        assert self.evaluation is not None
-        return float(np.sum(self.evaluation.whitened(np.asarray(self.noise.sigma))[:, -1] ** 2))
-
 
 def verdict(asked: Question, known: Uncertainty, left: Colour) -> tuple[str, str]:
     """Status and message of a fit that reached an optimum."""
@@ -85,7 +79,7 @@ def outcome(
         traces=_trace_fits(asked, optimum),
         cases=tuple(fitted[i] for i in asked.case_of),
         begun=begun,
-        cost=np.nan if optimum.evaluation is None else optimum.cost,
+        cost=np.nan if optimum.evaluation is None else optimum.evaluation.cost(np.asarray(optimum.noise.sigma)),
         iterations=iterations,
         seconds=seconds,
         versions=versions(),

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._fleet import solve_many
+from ._fleet import ARRIVED, solve_many
 from ._result import FitResult
 from ._uncertainty import NORMAL_95
 
@@ -108,7 +108,7 @@ def _look(result: FitResult, wanted: Sequence[tuple["_Curve", float]], done: Cal
     held = np.stack([np.arange(len(result.y)) == curve.i for curve, _ in wanted])
     ended = solve_many(result.asked.model, result.noise, starts, held, done=done)
     for (curve, step), one in zip(wanted, ended, strict=True):
-        curve.add(step, one.cost if one.distance < 0.1 else np.inf)
+        curve.add(step, one.cost if one.distance <= ARRIVED else np.inf)
 
 
 class _Curve:
@@ -138,25 +138,24 @@ class _Curve:
 
     def _guess(self, sign: float) -> float | None:
         """Where the end on this side may be; None where it is found, or is none."""
-        side = sorted((abs(step), np.sqrt(max(square, 0.0))) for step, square in self.squares.items() if step * sign >= 0)
+        side = self._side(sign)
         if any(abs(root - LIMIT) < NEAR for _, root in side):
             return None
         below, above = _bracket(side)
-        if above is not None and not np.isfinite(above[1]):
-            middle = 0.5 * (below[0] + above[0])
-            return sign * middle if above[0] - below[0] > 0.02 else None
         if above is None:
             return sign * min(2 * below[0], FARTHEST) if below[0] < FARTHEST else None
-        part = (LIMIT - below[1]) / (above[1] - below[1])
-        return sign * (below[0] + part * (above[0] - below[0]))
+        if not np.isfinite(above[1]):
+            return sign * 0.5 * (below[0] + above[0]) if above[0] - below[0] > 0.02 else None
+        return sign * _between(below, above)
 
     def _end(self, sign: float) -> float | None:
-        side = sorted((abs(step), np.sqrt(max(square, 0.0))) for step, square in self.squares.items() if step * sign >= 0)
-        below, above = _bracket(side)
-        if above is None or not np.isfinite(above[1]):
-            return None
-        part = (LIMIT - below[1]) / (above[1] - below[1])
-        return sign * (below[0] + part * (above[0] - below[0]))
+        below, above = _bracket(self._side(sign))
+        return None if above is None or not np.isfinite(above[1]) else sign * _between(below, above)
+
+    def _side(self, sign: float) -> list[tuple[float, float]]:
+        """Distances looked at on one side, the nearest first, and sqrt(D) there."""
+        here = ((abs(step), square) for step, square in self.squares.items() if step * sign >= 0)
+        return sorted((step, float(np.sqrt(max(square, 0.0)))) for step, square in here)
 
     def profile(self) -> Profile:
         estimate = self.result.parameters[self.i]
@@ -193,3 +192,8 @@ def _bracket(side: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], 
             return below, point
         below = point
     return below, None
+
+
+def _between(below: tuple[float, float], above: tuple[float, float]) -> float:
+    """Where a straight line from the one point to the other reaches the limit."""
+    return below[0] + (LIMIT - below[1]) / (above[1] - below[1]) * (above[0] - below[0])

@@ -15,7 +15,7 @@ from millax._simulate import STATUS as SIMULATION_STATUS
 from ._checkpoint import Checkpoint, End, State
 from ._colour import colour
 from ._evaluate import Evaluation, evaluate
-from ._fleet import Ended, solve_many
+from ._fleet import ARRIVED, CONVERGED, Ended, solve_many
 from ._identifiability import checked, not_finite
 from ._noise import Noise, NoiseModel, reflections, student_scale
 from ._outcome import Optimum, outcome, verdict
@@ -24,12 +24,6 @@ from ._result import STATUS, FitResult
 from ._solver import SOLVERS, Triangle
 from ._starts import SAME, Waterfall, waterfall
 from ._uncertainty import RANK, Uncertainty, at_bounds, insensitive, none_known, uncertainty
-
-CONVERGED = 1e-3
-"""The fit ends where the Gauss-Newton step left is this many standard errors long."""
-
-STALLED = 0.1
-"""Where the solver finds no better point, rounding allowed, this many standard errors still count as the optimum."""
 
 ROUNDING = 1e-12
 """A cost that is higher by this part is the same one."""
@@ -243,7 +237,7 @@ class Running:
             SOLVERS[self.solver].minimise(objective, self.y, self.numbers)
         except AtOptimum:
             return
-        if self._distance() > STALLED:
+        if self._distance() > ARRIVED:
             why = f": beyond it {self.wall}" if self.wall else ""
             raise Failed("not_converged", f"No step makes the fit better, yet this is no optimum{why}. {TRY}")
 
@@ -307,7 +301,7 @@ class Running:
         return evaluation.whitened(self.sigma)
 
     def _cost(self, evaluation: Evaluation) -> float:
-        return float(np.sum(self._whitened(evaluation)[:, -1] ** 2))
+        return evaluation.cost(self.sigma)
 
     def _distance(self) -> float:
         """Length of the Gauss-Newton step in standard errors; parameters at their bounds go no further."""

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._fleet import Ended
+from ._fleet import ARRIVED, Ended
 from ._parameters import FreeParameters
 
 SPREAD = 5.0
@@ -16,9 +16,6 @@ SPREAD = 5.0
 
 SAME = 0.1
 """Costs that differ by less, in units of the noise, are of one optimum."""
-
-ARRIVED = 0.1
-"""A fit that ended this near to an optimum, in standard errors, has reached it."""
 
 MARGIN = 0.02
 """Part of the range between two bounds in which no start lies, at either end."""
