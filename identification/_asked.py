@@ -22,9 +22,8 @@ force.k0 = "5000 N/mm^2"
 """
 
 import difflib
-import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from millax import CaseFile
@@ -32,39 +31,11 @@ from millax._names import Number, read_value, valid_names
 from millax._units import show
 
 from ._noise import NoiseModel
+from ._options import Options
 from ._parameters import Parameter, Prior, Tie
-from ._solver import SOLVERS
-from ._starts import SPREAD
 
 _FREE, _TIED = ("guess", "bounds", "prior", "each"), ("tie", "factor")
 """What may be said of a free number, and of one that follows another."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How a fit is made: as of `fit`; whether profiles are wanted, and how many draws of the posterior."""
-
-    noise: NoiseModel = field(default_factory=NoiseModel)
-    solver: str = "optimistix_lm"
-    starts: int = 1
-    spread: float = SPREAD
-    seed: int = 0
-    profile: bool = False
-    posterior: int = 0
-
-    def __post_init__(self):
-        if self.solver not in SOLVERS:
-            near = difflib.get_close_matches(str(self.solver), SOLVERS, n=1)
-            hint = f" Did you mean {near[0]}?" if near else ""
-            raise ValueError(f"solver: {show(self.solver)} given.{hint} It must be one of {', '.join(SOLVERS)}")
-        for name, least in (("starts", 1), ("seed", 0), ("posterior", 0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise ValueError(f"{name}: {show(value)} given; it must be a whole number of at least {least}")
-        if isinstance(self.spread, bool) or not isinstance(self.spread, int | float) or not 1 < self.spread < math.inf:
-            raise ValueError(f"spread: {show(self.spread)} given; it must be a factor greater than 1, such as 5")
-        if not isinstance(self.profile, bool):
-            raise ValueError(f"profile: {show(self.profile)} given; it must be true or false")
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from rich.table import Table
 
-from ._asked import Options
 from ._check_command import show_findings
 from ._checkpoint import CheckpointError
 from ._fit import fit
 from ._fitfile import FitProblem, load_fit
 from ._fitted import fitted_text
+from ._options import Options
 from ._output import complain, console, staged
 from ._posterior import sample
 from ._profile import profile as profile_of

@@ -3,13 +3,12 @@
 import os
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from millax import Case
 
 from ._checkpoint import Checkpoint
 from ._loadtest import LoadTest
 from ._noise import NoiseModel
+from ._options import Options
 from ._parameters import Parameter, Tie
 from ._question import question
 from ._result import FitResult
@@ -73,15 +72,10 @@ def fit(
     Raises `ValueError` for parameters and measurements that cannot be used, an unknown solver, a checkpoint of another
     question, and where JAX is not set to float64.
     """
-    if solver not in SOLVERS:
-        raise ValueError(f"solver: {solver!r} given; it must be one of {', '.join(SOLVERS)}")
-    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
-        raise ValueError(f"starts: {starts!r} given; it must be a whole number of at least 1")
-    if not 1 < spread < np.inf:
-        raise ValueError(f"spread: {spread!r} given; it must be a factor greater than 1, such as 5")
+    kind = noise or NoiseModel()
+    Options(kind, solver, starts, spread, seed)  # checks them
     asked = question(case, measured, parameters)
     from_where = None if starts == 1 else Begin(draw_starts(asked.numbers, starts, spread, seed), seed)
     most = SOLVERS[solver].evaluations if max_iterations is None else max_iterations
-    kind = noise or NoiseModel()
     kept = None if checkpoint is None else Checkpoint(checkpoint, asked, kind, from_where and from_where.y)
     return Running(asked, kind, solver, from_where, check, most, progress or (lambda _: None), kept).run()

@@ -30,8 +30,9 @@ from millax import Case, CaseError, CaseFile
 from millax._units import show
 
 from ._align import align
-from ._asked import Options, asked_in, check_keys
+from ._asked import asked_in, check_keys
 from ._loadtest import LoadTest, read_load_test
+from ._options import Options
 from ._parameters import Parameter, Tie, free
 from ._question import compared
 from ._traces import Trace, read_trace

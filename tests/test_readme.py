@@ -12,7 +12,7 @@ import pytest
 
 import millax as mx
 from identification import NoiseModel, Parameter, load_fit, synthetic_trace
-from identification._asked import Options
+from identification._options import Options
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
