@@ -84,19 +84,27 @@ def solve_many(
     # The fits may lead far away, and need more sweeps there than where they start.
     cases = (case.with_settings(sweeps=min(case.settings.sweeps + MORE_SWEEPS, MOST_SWEEPS)) for case in model.cases)
     model = dataclasses.replace(model, cases=tuple(cases))
-    for begin in range(0, m, TOGETHER):
-        # The last batch is filled up, so that one program serves all.
-        which = [min(begin + i, m - 1) for i in range(TOGETHER)]
-        lanes = tuple(_stacked([one[i] for i in which]) for one in (noises, starts, held, given))
+    begin = 0
+    for count, lanes in batches(noises, starts, held, given):
         y, triangle, distance, steps = (np.asarray(x) for x in _batch(model, lanes, jnp.asarray(caution, dtype=float)))
-        for i in range(min(TOGETHER, m - begin)):
+        for i in range(count):
             failed = abs(triangle[i, -1, -1]) >= REJECTED
             cost = np.inf if failed else float(np.sum(triangle[i, :, -1] ** 2))
             yield Ended(y[i], triangle[i], cost, np.inf if failed else float(distance[i]), int(steps[i]))
-        done(min(begin + TOGETHER, m))
+        begin += count
+        done(begin)
 
 
-def _stacked(parts):
+def batches(*columns: Sequence[Any] | np.ndarray) -> Iterator[tuple[int, tuple[Any, ...]]]:
+    """Rows of these columns, `TOGETHER` at a time: how many of them count, and each column as one pytree with a leading
+    axis. The last batch is filled up with its last row, so that one program serves all."""
+    m = len(columns[0])
+    for begin in range(0, m, TOGETHER):
+        which = [min(begin + i, m - 1) for i in range(TOGETHER)]
+        yield min(TOGETHER, m - begin), tuple(_stacked([column[i] for i in which]) for column in columns)
+
+
+def _stacked(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *parts)
 
 

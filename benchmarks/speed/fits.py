@@ -9,20 +9,19 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import millax as mx
-from identification import Parameter, Trace, fit, load_fit
+from identification import Parameter, fit, load_fit
 from identification._compare import compare
 from identification._parameters import free
 from millax._names import replace, value_of
 
+from ..demo import cut, recorded
 from ..figures import Figure, below
-from ..slot import slot
 from .run import Run
 
 DEMO = Path(__file__).resolve().parents[2] / "data_synthetic" / "kr240_slot.toml"
 
 
 NAMES = ("force.k0", "force.hs", "force.r", "force.kr", "structure.damping_ratio.x", "structure.stiffness.x")
-NOISE = {"Fx": 2.0, "Fy": 2.0, "x": 1e-6, "y": 1e-6}
 
 
 def figures(run: Run):
@@ -32,11 +31,8 @@ def figures(run: Run):
 
 def _one_second():
     """Six parameters, each guess wrong by a factor of two, from 1 s of cutting at every step of the simulation."""
-    case = slot(stiffness=[3e5, 3e5], damping_ratio=[0.05, 0.05], duration=1.0)
-    sim = mx.simulate(case)
-    clean, sigma = np.column_stack([sim.force[:, :2], sim.displacement]), np.array(list(NOISE.values()))
-    noisy = clean + sigma * np.random.default_rng(0).normal(size=clean.shape)
-    trace = Trace(np.asarray(sim.time), tuple(NOISE), noisy, NOISE)
+    case = cut(1.0)
+    trace = recorded(case, 0)
     wrong = zip(NAMES, (2, 0.5, 2, 0.5, 2, 0.5), strict=True)
     parameters = [Parameter(name, factor * value_of(case, name)) for name, factor in wrong]
     result, seconds, first = _twice(lambda: fit(case, trace, parameters))

@@ -11,17 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lfilter
 
-import identification as ident
-import millax as mx
 from identification._colour import colour
 from identification._evaluate import Evaluation, Model, evaluate, evaluation
-from identification._fleet import TOGETHER, solve_many
+from identification._fleet import batches, solve_many
 from identification._noise import Noise, NoiseModel, reflections
 from identification._profile import LIMIT
 from identification._question import question
 
+from ..demo import NOISE, cut, recorded
 from ..figures import Figure
-from ..slot import slot
 
 REALISATIONS = 2000
 NAMES = (
@@ -32,7 +30,6 @@ NAMES = (
     "structure.damping_ratio.x",
     "structure.stiffness.x",
 )
-NOISE = {"Fx": 2.0, "Fy": 2.0, "x": 1e-6, "y": 1e-6}
 AR = 0.5
 """Correlation of coloured noise from one sample to the next."""
 
@@ -47,10 +44,8 @@ def figures(realisations: int = REALISATIONS) -> Iterator[Figure]:
 
 def _problem() -> tuple[Model, np.ndarray]:
     """The demo's slot, 0.15 s of it, at the truth: y = 0."""
-    case = slot(stiffness=[3e5, 3e5], damping_ratio=[0.05, 0.05], duration=0.15)
-    sim = mx.simulate(case)
-    trace = ident.Trace(np.asarray(sim.time), tuple(NOISE), np.column_stack([sim.force[:, :2], sim.displacement]), NOISE)
-    return question(case, trace, NAMES).model, np.array(list(NOISE.values()))
+    case = cut(0.15)
+    return question(case, recorded(case, None), NAMES).model, np.array(list(NOISE.values()))
 
 
 def _study(
@@ -110,12 +105,9 @@ def _evaluations(model: Model, noises, at: np.ndarray, measured) -> Iterator[Eva
     def evaluated(noise, y, values):
         return jax.vmap(lambda noise, y, values: evaluation(_of(model, values), noise, y))(noise, y, values)
 
-    for begin in range(0, len(at), TOGETHER):
-        which = [min(begin + i, len(at) - 1) for i in range(TOGETHER)]
-        lanes = ([one[i] for i in which] for one in (noises, at, measured))
-        stacked = (jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x) for x in leaves]), *lane) for lane in lanes)
-        found = jax.tree.map(np.asarray, evaluated(*stacked))
-        for i in range(min(TOGETHER, len(at) - begin)):
+    for count, lanes in batches(noises, at, measured):
+        found = jax.tree.map(np.asarray, evaluated(*lanes))
+        for i in range(count):
             yield jax.tree.map(lambda leaf, i=i: leaf[i], found)
 
 

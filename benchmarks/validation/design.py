@@ -9,13 +9,13 @@ import millax as mx
 from millax._members import FEED_PER_TOOTH, member
 from millax._names import read_value
 
+from ..demo import NOISE
 from ..figures import Figure, near
 from ..kr270 import slot as kr270_slot
 from ..robot_slot import POSES, TRUTH, arm, cases, traces
 from ..slot import slot
 
 LAW = ("force.k0", "force.hs", "force.r", "force.kr")
-NOISE = {"Fx": 2.0, "Fy": 2.0, "x": 1e-6, "y": 1e-6}
 TIME = 0.02 + np.arange(800) / 10e3
 SEEDS = 200
 """Their spread is good to 5 %."""

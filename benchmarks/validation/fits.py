@@ -5,14 +5,12 @@ from collections.abc import Iterator
 import numpy as np
 
 import identification as ident
-import millax as mx
 from millax._names import value_of
 
+from ..demo import cut, recorded
 from ..figures import Figure, below
-from ..slot import slot
 
 STARTS, SPREAD = 64, 5.0
-NOISE = {"Fx": 2.0, "Fy": 2.0, "x": 1e-6, "y": 1e-6}
 NAMES = (
     "force.k0",
     "force.hs",
@@ -28,18 +26,10 @@ def figures() -> Iterator[Figure]:
     yield from _unknown()
 
 
-def _trace(case: mx.Case, seed: int) -> ident.Trace:
-    sim = mx.simulate(case)
-    clean = np.column_stack([sim.force[:, :2], sim.displacement])
-    sigma = np.array(list(NOISE.values()))
-    noisy = clean + sigma * np.random.default_rng(seed).normal(size=clean.shape)
-    return ident.Trace(np.asarray(sim.time), tuple(NOISE), noisy, NOISE)
-
-
 def _starts() -> Iterator[Figure]:
     """Of the demo's slot, 0.2 s: starts wrong by up to a factor of five in every number."""
-    case = slot(stiffness=[3e5, 3e5], damping_ratio=[0.05, 0.05], duration=0.2)
-    result = ident.fit(case, _trace(case, 0), NAMES, starts=STARTS, spread=SPREAD, seed=1)
+    case = cut(0.2)
+    result = ident.fit(case, recorded(case, 0), NAMES, starts=STARTS, spread=SPREAD, seed=1)
     falls = result.waterfall
     assert falls is not None
     best = np.array([e.value for e in result.parameters])
@@ -54,8 +44,8 @@ def _starts() -> Iterator[Figure]:
 
 def _unknown() -> Iterator[Figure]:
     """A question without an answer."""
-    case = slot(stiffness=[3e5, 3e5], damping_ratio=[0.05, 0.05], duration=0.2)
-    found = ident.check(case, _trace(case, 0), ["force.k0", "cut.depth", "force.kr"])
+    case = cut(0.2)
+    found = ident.check(case, recorded(case, 0), ["force.k0", "cut.depth", "force.kr"])
     named = [p.name for p in found.parameters if p.reason and "force.k0, cut.depth cannot be told apart" in p.reason]
     words = "k0 with the depth free: refused, these named"
     yield Figure(words, ", ".join(named), "force.k0, cut.depth", named == ["force.k0", "cut.depth"])

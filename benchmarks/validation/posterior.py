@@ -9,10 +9,12 @@ import numpy as np
 
 import identification as ident
 import millax as mx
+from millax._names import value_of
 
+from ..demo import cut, recorded
 from ..figures import Figure, below, near
 from ..slot import slot
-from .recovery import GUESS, SIGMA_DISPLACEMENT, SIGMA_FORCE, _value
+from .recovery import GUESS
 
 
 def figures():
@@ -23,14 +25,10 @@ def figures():
 
 def _normal():
     """Six parameters of 0.3 s of force and displacement, their noise estimated."""
-    truth = slot(stiffness=[3e5, 3e5], damping_ratio=[0.05, 0.05], duration=0.3)
-    sim = mx.simulate(truth)
-    exact = np.column_stack([sim.force[:, :2], sim.displacement])
-    sigma = [SIGMA_FORCE, SIGMA_FORCE, SIGMA_DISPLACEMENT, SIGMA_DISPLACEMENT]
-    measured = exact + sigma * np.random.default_rng(0).normal(size=exact.shape)
-    trace = ident.Trace(np.asarray(sim.time), ("Fx", "Fy", "x", "y"), measured)
+    truth = cut(0.3)
+    trace = recorded(truth, 0, known=False)
     names = list(GUESS)[:6]
-    result = ident.fit(truth, trace, [ident.Parameter(name, guess=_value(truth, name) * GUESS[name]) for name in names])
+    result = ident.fit(truth, trace, [ident.Parameter(name, guess=value_of(truth, name) * GUESS[name]) for name in names])
     begin = time.process_time()
     found = ident.sample(result)
     spent = time.process_time() - begin
