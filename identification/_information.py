@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._uncertainty import RANK
+from ._uncertainty import INVOLVED, RANK, insensitive
 
 
 class Knowledge(NamedTuple):
@@ -36,12 +36,10 @@ def knowledge(factors: Float[np.ndarray, "... rows n"]) -> Knowledge:
     rows, n = factors.shape[-2:]
     if rows < n:
         factors = np.concatenate([factors, np.zeros((*factors.shape[:-2], n - rows, n))], axis=-2)
-    length = np.linalg.norm(factors, axis=-2)
-    length = np.where(length > 1e-12 * np.maximum(length.max(axis=-1, keepdims=True), 1.0), length, 0.0)
-    scale = np.where(length > 0, length, np.inf)
+    scale = np.where(insensitive(factors), np.inf, np.linalg.norm(factors, axis=-2))
     _, s, directions = np.linalg.svd(factors / scale[..., None, :], full_matrices=False)
     known = s > RANK * s[..., :1]
-    involved = (np.abs(directions) > 0.05) & ~known[..., None]
+    involved = (np.abs(directions) > INVOLVED) & ~known[..., None]
     with np.errstate(divide="ignore"):
         weights = np.where(known, 1 / s, 0.0)
         axes = -np.log(np.linalg.svd(factors, compute_uv=False))

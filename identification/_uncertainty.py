@@ -18,6 +18,9 @@ RANK = 1e-6
 """Singular values of the Jacobian, its columns scaled to length 1, below this times the largest count as zero: the
 simulation itself is only accurate to about this."""
 
+INVOLVED = 0.05
+"""Part of a direction of length 1, in which nothing changes, from which on a parameter has a share in it."""
+
 UNKNOWN = 1.0
 """Standard error in y from which on a parameter counts as unknown. It is then a factor e for a parameter with one
 bound, a quarter of the range for one with two, and the size of the guess for one with none."""
@@ -66,10 +69,10 @@ def at_bounds(free: FreeParameters, y: ArrayLike) -> np.ndarray:
     return near_low | near_high
 
 
-def insensitive(jacobian: Float[np.ndarray, "rows n"]) -> np.ndarray:
-    """Which parameters change nothing that was measured, up to rounding."""
-    norms = np.linalg.norm(jacobian, axis=0)
-    return norms <= 1e-12 * max(norms.max(), 1.0)
+def insensitive(jacobian: Float[np.ndarray, "... rows n"]) -> np.ndarray:
+    """Which parameters change nothing that was measured, up to rounding. Leading axes are a batch."""
+    norms = np.linalg.norm(jacobian, axis=-2)
+    return norms <= 1e-12 * np.maximum(norms.max(axis=-1, keepdims=True), 1.0)
 
 
 def uncertainty(
@@ -101,7 +104,7 @@ def uncertainty(
         for direction in directions[~known]:
             # In relative changes of the parameters, the largest of them 1.
             change = direction / norms * slope[live] / np.where(value[live] != 0, value[live], 1.0)
-            involved = np.flatnonzero(np.abs(direction) > 0.05)
+            involved = np.flatnonzero(np.abs(direction) > INVOLVED)
             text = _combination([free.names[live[k]] for k in involved], change[involved])
             for k in involved:
                 reason[live[k]] = reason[live[k]] or text
