@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -87,13 +87,23 @@ class AtOptimum(Exception):
 class Running:
     """The state of a running fit: where it is best, and with which noise."""
 
-    def __init__(self, asked: Question, kind: NoiseModel, solver: str, begin, check: bool, most: int, progress, kept):
+    def __init__(
+        self,
+        asked: Question,
+        kind: NoiseModel,
+        solver: str,
+        starts: Begin | None,
+        check: bool,
+        most: int,
+        progress: Callable[[Progress], None],
+        kept: Checkpoint | None,
+    ):
         self.asked = asked
         self.numbers = asked.numbers
         self.before = self.sweeps
         self.kind = kind
         self.solver = solver
-        self.starts: Begin | None = begin
+        self.starts = starts
         self.waterfall: Waterfall | None = None
         self.check = check
         self.max_iterations = most
@@ -108,7 +118,7 @@ class Running:
         self.noise = kind.of(np.where(self.estimated, self.size, asked.noise))
         self.round = 0
         self.ends: list[End] = []
-        self.kept: Checkpoint | None = kept
+        self.kept = kept
         self.resumed = kept.found() if kept else None
         if self.resumed:
             self._resume(self.resumed)
