@@ -1,0 +1,1 @@
+"""Recordings of a dynamometer, fitted: see `benchmarks.measured_slot`."""

@@ -1,0 +1,121 @@
+"""The fits, all recordings at once."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import millax as mx
+from identification import FitResult, Parameter, Trace, align, fit
+from identification._compare import compare
+
+from .models import (
+    DAMPING,
+    FREQUENCY,
+    MODES,
+    OF_TRACES,
+    RESIDUES,
+    STARTS,
+    by_tooth,
+    coupled,
+    flexible_tool,
+    mean_tooth,
+    per_axis,
+)
+from .modes import guesses
+from .recordings import DURATION, EARLIEST, FEEDS, TURN, Data, case_of
+
+EVALUATIONS = 300
+"""Most of model and Jacobian in a fit."""
+
+NUMERICS = {"slices": 6, "blocks": 32, "sweeps": 14, "tolerance": 1e-6, "width": 3e-6}
+"""An edge force begins all at once, and the tool gives way at once: short blocks and gates that are not too narrow."""
+
+CHAINS = 3
+"""How many guesses of the coupled chain are fitted."""
+
+Say = Callable[[str], None]
+
+
+class Fitted(NamedTuple):
+    """A fit and what was free in it."""
+
+    result: FitResult
+    parameters: list[Parameter]
+
+
+def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[Parameter], say: Say) -> Fitted:
+    """The fit with the lowest cost; the starts share one compiled program."""
+    results = []
+    for cases in cases_of_starts:
+        results.append(fit(cases, data.turns, parameters, check=False, max_iterations=EVALUATIONS))
+        say(f"  {len(results)} of {len(cases_of_starts)}: cost {results[-1].cost:.2f}, {results[-1].status}")
+    return Fitted(min(results, key=lambda result: result.cost), parameters)
+
+
+def fit_per_axis(data: Data, law: mx.ForceLaw, bend: list[Parameter], say: Say) -> Fitted:
+    """A flexible tool, and one resonance per axis of the dynamometer."""
+    law, coefficients = by_tooth(law)
+    structure, of_tool = flexible_tool()
+    starts, parameters = [], []
+    for frequency, runout in STARTS:
+        resonances, parameters = per_axis(frequency)
+        cases = []
+        for feed, average in zip(FEEDS, data.averages, strict=True):
+            case = case_of(feed, law)
+            tool = dataclasses.replace(case.tool, runout=(0.0, runout))
+            settings = mx.Settings.suited(tool, law, structure, case.cut, DURATION, **NUMERICS)
+            case = dataclasses.replace(case, tool=tool, structure=structure, settings=settings)
+            clock = dataclasses.replace(align(case, average.trace), speed_error=jnp.zeros(()))
+            cases.append(dataclasses.replace(case, sensor=mx.Sensor(resonances=resonances), clock=clock))
+        starts.append(cases)
+    return best_of(data, starts, [*coefficients, *bend, *of_tool, *OF_TRACES, *parameters], say)
+
+
+def fit_coupled(data: Data, before: FitResult, bend: list[Parameter], say: Say) -> Fitted:
+    """Modes that couple the axes, from the result with one resonance per axis."""
+    force, measured, sigma = lines(data, before)
+    bounds = tuple(zip(FREQUENCY, DAMPING, strict=True))
+    assert RESIDUES.std is not None
+    found = guesses(force, measured, sigma, 1e4 / TURN, MODES, bounds, float(RESIDUES.std))[:CHAINS]
+    starts = []
+    for chain in found:
+        frequencies = ", ".join(f"{f:.0f}" for f in np.sort(np.asarray(chain.frequency)))
+        say(f"  start {len(starts) + 1}: modes at {frequencies} Hz")
+        inner = np.clip(chain.damping_ratio, 1.02 * DAMPING[0], 0.98 * DAMPING[1])
+        chain = eqx.tree_at(lambda c: c.damping_ratio, chain, jnp.asarray(inner))
+        starts.append([eqx.tree_at(lambda c: c.sensor.resonances, case, chain) for case in before.cases])
+    _, coefficients = by_tooth(mean_tooth(before.cases[0].force))
+    _, of_tool = flexible_tool()
+    return best_of(data, starts, [*coefficients, *bend, *of_tool, *OF_TRACES, *coupled()], say)
+
+
+def lines(data: Data, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the force on the tool in a result and of what was measured, lines at the multiples of the spindle frequency,
+    shape (recordings, lines, 3) for x, y and z; and sigma of the mean over the samples of a trace."""
+    forces, measured, sigma = [], [], []
+    for case, trace in zip(result.cases, data.turns, strict=True):
+        order = [trace.channels.index(f"F{axis}") for axis in "xyz"]
+        alone = dataclasses.replace(case, sensor=None)
+        forces.append(spectrum(np.asarray(compare(trace, alone).predict(mx.simulate(alone), alone)).T[:, order]))
+        measured.append(spectrum(trace.values[:, order]))
+        sigma.append([trace.noise[f"F{axis}"] / np.sqrt(trace.samples) for axis in "xyz"])
+    return np.array(forces), np.array(measured), np.array(sigma)
+
+
+def spectrum(values: np.ndarray) -> np.ndarray:
+    """Lines of the first turn, from the spindle frequency to below half the sampling rate."""
+    return np.fft.rfft(values[:TURN], axis=0)[1 : TURN // 2] / TURN
+
+
+def predicted(case: mx.Case, trace: Trace, speed_error: float) -> np.ndarray:
+    """A fitted case beside a recording as it is, shape (samples, channels)."""
+    assert case.clock is not None
+    clock = mx.Clock(case.clock.start, speed_error)
+    length = EARLIEST + 0.05 + (trace.time[-1] - trace.time[0])
+    longer = mx.Settings.suited(case.tool, case.force, case.structure, case.cut, length, **NUMERICS)
+    case = dataclasses.replace(case, clock=clock, settings=longer)
+    return np.asarray(compare(trace, case).predict(mx.simulate(case), case)).T

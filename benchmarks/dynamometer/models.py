@@ -1,0 +1,99 @@
+"""What is fitted: force laws, the tool, the measuring chain; which of their numbers are free, and where they start."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+import millax as mx
+from identification import Parameter, Prior
+
+STARTS = ((1000.0, -8e-6), (2000.0, -16e-6))
+"""Frequencies of resonances [Hz] and runout [m]."""
+
+MODES = 5
+"""Of a coupled chain."""
+
+FREQUENCY, DAMPING = (300.0, 4500.0), (0.02, 0.5)
+"""Of a mode of the chain [Hz], [-]. One with less damping would still ring from the start of the simulation."""
+
+OFFSETS = Prior(mean=0.0, std=10.0)
+"""Of a charge amplifier that drifts [N]."""
+
+RESIDUES = Prior(mean=0.0, std=1.0)
+"""What is known of a coupled chain: its residues are of the order of the static gain, 1."""
+
+STIFFNESS = 30e6
+"""Of the tool in its spindle, at first [N/m]; with a mode at 1 kHz."""
+
+
+def laws(found: mx.LinearLaw) -> dict[str, tuple[mx.ForceLaw, list[Parameter]]]:
+    """The laws that are compared, guessed from the coefficients of mean forces, and what they have beside coefficients of
+    each tooth."""
+    kt, edges = float(found.kt), {name: getattr(found, name) for name in ("kr", "ka", "ke", "kre", "kae")}
+    alone = {"kr": found.kr, "ka": found.ka}
+    bend = [Parameter("force.hs", bounds=("1 um", "1 mm")), Parameter("force.r", bounds=(0, 1))]
+    exponent = [Parameter("force.m", bounds=(0.05, 1))]
+
+    def power(m):  # as large as the linear law at 50 um
+        return {"kf": kt * 50e-6 ** (1 - m), "m": m}
+
+    def bent(hs):
+        return {"k0": kt * (1 + 50e-6 / hs), "hs": hs, "r": 0.1}
+
+    return {
+        "linear": (mx.LinearLaw(kt=kt, **edges), []),
+        "exponential": (mx.ExponentialLaw(**power(0.8), **edges), exponent),
+        "fractional": (mx.FractionalLaw(**bent(100e-6), **edges), bend),
+        "exponential, no edge": (mx.ExponentialLaw(**power(0.5), **alone), exponent),
+        "fractional, no edge": (mx.FractionalLaw(**bent(20e-6), **alone), bend),
+    }
+
+
+def by_tooth(law: mx.ForceLaw, teeth: int = 2) -> tuple[mx.ForceLaw, list[Parameter]]:
+    """The law with coefficients of each tooth, and these as free parameters; what bends it stays one number."""
+    names = [name for name in ("kt", "k0", "kf", "kr", "ka", "ke", "kre", "kae") if getattr(law, name, None) is not None]
+    listed = {name: jnp.full(teeth, getattr(law, name)) for name in names}
+    return dataclasses.replace(law, **listed), [Parameter(f"force.{name}.{i}") for name in names for i in range(teeth)]
+
+
+def mean_tooth(law: mx.ForceLaw) -> mx.ForceLaw:
+    """The law with the mean of its teeth: what `by_tooth` makes of it has the same free parameters."""
+    return jax.tree.map(jnp.mean, law)
+
+
+def flexible_tool() -> tuple[mx.Structure, list[Parameter]]:
+    """A tool with one mode in each direction of the plane."""
+    mass = STIFFNESS / (2 * jnp.pi * 1000.0) ** 2
+    structure = mx.Structure(("x", "y"), jnp.full(2, mass), jnp.full(2, STIFFNESS), damping_ratio=jnp.full(2, 0.08))
+    of_axis = [(f"structure.mass.{a}", f"structure.stiffness.{a}") for a in "xy"]
+    free = [Parameter(name) for pair in of_axis for name in pair]
+    return structure, [*free, *[Parameter(f"structure.damping_ratio.{a}", bounds=(0.01, 0.5)) for a in "xy"]]
+
+
+OF_TRACES = [
+    Parameter("tool.runout.1"),
+    Parameter("clock.start", each=True),
+    *[Parameter(f"sensor.bias.{axis}", each=True, prior=OFFSETS) for axis in "xyz"],
+]
+
+
+def per_axis(frequency: float) -> tuple[mx.Resonances, list[Parameter]]:
+    """One resonance for each axis, and how much of it there is."""
+    resonances = mx.Resonances.per_axis((frequency,) * 3, (0.05,) * 3)
+    return resonances, _chain(3, [f"mode_{m}.{a}.{a}" for m, a in zip((1, 2, 3), "xyz", strict=True)], None)
+
+
+def coupled() -> list[Parameter]:
+    """What is free of modes that couple the axes."""
+    names = [f"mode_{m + 1}.{a}.{b}" for m in range(MODES) for a in "xyz" for b in "xyz"]
+    return _chain(MODES, names, RESIDUES)
+
+
+def _chain(modes: int, residues: list[str], prior: Prior | None) -> list[Parameter]:
+    numbered = range(1, modes + 1)
+    return [
+        *[Parameter(f"sensor.resonances.frequency.mode_{m}", bounds=FREQUENCY) for m in numbered],
+        *[Parameter(f"sensor.resonances.damping_ratio.mode_{m}", bounds=DAMPING) for m in numbered],
+        *[Parameter(f"sensor.resonances.residue.{name}", prior=prior) for name in residues],
+    ]
