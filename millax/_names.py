@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ._case import Case
-from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range
+from ._casekeys import FORCE, LAWS, POSITIVE, SECTIONS, Quantity, Range, Section
 from ._caseleaves import labels
 from ._forces import ExponentialLaw
 from ._units import parse, show
@@ -64,7 +64,7 @@ def replace(case: Case, values: Mapping[str, Array]) -> Case:
 def _quantity(case: Case, name: str) -> Quantity:
     """What the table of case-file keys says about a number."""
     section, key, index = _place(case, name)
-    quantity = (FORCE[_law(case)] if section == "force" else SECTIONS[section]).keys[key]
+    quantity = _tables(case)[section].keys[key]
     assert isinstance(quantity, Quantity)
     if (section, key) == ("structure", "stiffness") and quantity.range == Range():
         # A matrix may hold negative entries; the numbers that have names are diagonal, and those hold the tool.
@@ -81,8 +81,12 @@ def _table(case: Case) -> dict[str, float]:
     return {"m": float(case.force.m)} if isinstance(case.force, ExponentialLaw) else {}
 
 
-def _law(case: Case) -> str:
-    return next(law for law, kind in LAWS.items() if type(case.force) is kind)
+def _tables(case: Case) -> dict[str, Section]:
+    """What the case file may say; of the force what its law may. The numbers of a law that no case file knows, one of the
+    user's own, have no names."""
+    known = next((FORCE[law] for law, kind in LAWS.items() if isinstance(case.force, kind)), None)
+    tables = {section: known if section == "force" else table for section, table in SECTIONS.items()}
+    return {section: table for section, table in tables.items() if table is not None}
 
 
 Place = tuple[str, str, tuple[int, ...]]
@@ -91,10 +95,9 @@ Place = tuple[str, str, tuple[int, ...]]
 
 def _leaves(case: Case) -> dict[tuple[str, str], Array]:
     """Every leaf that is a number, or numbers, of the case file."""
-    tables = {section: (FORCE[_law(case)] if section == "force" else table) for section, table in SECTIONS.items()}
     return {
         (section, key): leaf
-        for section, table in tables.items()
+        for section, table in _tables(case).items()
         for key, kind in table.keys.items()
         if kind.parameter and (part := _part(case, section)) is not None and (leaf := getattr(part, key)) is not None
     }

@@ -60,3 +60,30 @@ def test_the_entries_of_a_matrix_have_no_names():
     case = slot(stiffness=jnp.array([[3e5, 1e4], [1e4, 3e5]]))
     with pytest.raises(ValueError, match=r"structure\.stiffness as a matrix"):
         value_of(case, "structure.stiffness.x")
+
+
+class Own(mx.LinearLaw):
+    """As a user may write it, from a law of ours."""
+
+
+class Alien(mx.ForceLaw):
+    """From nothing of ours: no case file knows its numbers."""
+
+    kr: jax.Array
+    slope: jax.Array
+
+    def tangential(self, h):
+        return self.slope * h
+
+    def work(self, low, high):
+        return self.slope * (high**2 - low**2) / 2
+
+
+def test_laws_of_the_user():
+    own = slot(force=Own(kt=1e9, kr=0.3))
+    assert {"force.kt", "force.kr"} <= set(valid_names(own))
+    alien = slot(force=Alien(kr=jnp.asarray(0.3), slope=jnp.asarray(1e9)))
+    assert "structure.mass" in valid_names(alien)
+    assert not any(name.startswith("force.") for name in valid_names(alien))
+    with pytest.raises(ValueError, match=r"force\.slope: unknown parameter; this is no number of the case"):
+        value_of(alien, "force.slope")

@@ -28,6 +28,9 @@ from .models import (
 from .modes import guesses
 from .recordings import DURATION, EARLIEST, FEEDS, TURN, Data, case_of
 
+SOLVER = "scipy_trf"
+"""Numbers of very different scales: it sizes its steps by the columns of the Jacobian. The others get stuck here."""
+
 EVALUATIONS = 300
 """Most of model and Jacobian in a fit."""
 
@@ -51,7 +54,7 @@ def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[P
     """The fit with the lowest cost; the starts share one compiled program."""
     results = []
     for cases in cases_of_starts:
-        results.append(fit(cases, data.turns, parameters, check=False, max_iterations=EVALUATIONS))
+        results.append(fit(cases, data.turns, parameters, solver=SOLVER, check=False, max_iterations=EVALUATIONS))
         say(f"  {len(results)} of {len(cases_of_starts)}: cost {results[-1].cost:.2f}, {results[-1].status}")
     return Fitted(min(results, key=lambda result: result.cost), parameters)
 
