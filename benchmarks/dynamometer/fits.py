@@ -34,10 +34,13 @@ SOLVER = "scipy_trf"
 EVALUATIONS = 300
 """Most of model and Jacobian in a fit."""
 
+FIRST, FINALISTS = 25, 2
+"""Evaluations after which starts are compared, where they are more than `FINALISTS`, and how many of them go on."""
+
 NUMERICS = {"slices": 6, "blocks": 32, "sweeps": 14, "tolerance": 1e-6, "width": 3e-6}
 """An edge force begins all at once, and the tool gives way at once: short blocks and gates that are not too narrow."""
 
-CHAINS = 3
+CHAINS = 8
 """How many guesses of the coupled chain are fitted."""
 
 Say = Callable[[str], None]
@@ -52,11 +55,20 @@ class Fitted(NamedTuple):
 
 def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[Parameter], say: Say) -> Fitted:
     """The fit with the lowest cost; the starts share one compiled program."""
-    results = []
-    for cases in cases_of_starts:
-        results.append(fit(cases, data.turns, parameters, solver=SOLVER, check=False, max_iterations=EVALUATIONS))
-        say(f"  {len(results)} of {len(cases_of_starts)}: cost {results[-1].cost:.2f}, {results[-1].status}")
-    return Fitted(min(results, key=lambda result: result.cost), parameters)
+    starts = cases_of_starts
+    if len(starts) > FINALISTS:
+        first = sorted(_each(data, starts, parameters, FIRST, say), key=lambda result: result.cost)
+        starts = [list(result.cases) for result in first[:FINALISTS]]
+    found = _each(data, starts, parameters, EVALUATIONS, say)
+    return Fitted(min(found, key=lambda result: result.cost), parameters)
+
+
+def _each(data: Data, starts: list[list[mx.Case]], parameters: list[Parameter], most: int, say: Say) -> list[FitResult]:
+    found = []
+    for cases in starts:
+        found.append(fit(cases, data.turns, parameters, solver=SOLVER, check=False, max_iterations=most))
+        say(f"  {len(found)} of {len(starts)}: cost {found[-1].cost:.0f}, {found[-1].iterations} evaluations")
+    return found
 
 
 def fit_per_axis(data: Data, law: mx.ForceLaw, bend: list[Parameter], say: Say) -> Fitted:

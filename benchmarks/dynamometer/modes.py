@@ -64,4 +64,4 @@ def guesses(force, measured, sigma, turning: float, modes: int, bounds, prior: f
 def _real(lines: np.ndarray) -> np.ndarray:
     """Real and imaginary parts of all lines of all recordings, one below the other."""
     rows = lines.reshape(-1, *lines.shape[2:])
-    return np.concatenate([rows.real, rows.imag])
+    return np.concatenate([np.real(rows), np.imag(rows)])
