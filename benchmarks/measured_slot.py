@@ -16,8 +16,9 @@ What is fitted, in every run:
 - The weights: R² of nine channels is asked, and the sum of 1 - R² over them is made least, each counting the same.
 - What counts as data: one turn per trace and axis, the synchronous average, less its correlation.
 - The starts: coefficients from the mean forces, resonances at 1 or 2 kHz with 5 % damping, phases by alignment, runout a
-  third or two thirds of the smallest feed per tooth, the tool at 1 kHz. The five modes start where they turn the forces of
-  that fit into those measured. Of several starts the best by cost is taken.
+  third or two thirds of the smallest feed per tooth, the tool at 1 kHz. Other laws start from the tool and the chain of the
+  linear one. The five modes start where they turn the forces of that fit into those measured. Of several starts the best by
+  cost is taken.
 """
 
 import argparse
@@ -33,7 +34,7 @@ mx.set_up()
 
 from rich.console import Console  # noqa: E402
 
-from .dynamometer.fits import Fitted, fit_coupled, fit_per_axis  # noqa: E402
+from .dynamometer.fits import Fitted, fit_coupled, fit_law, fit_per_axis  # noqa: E402
 from .dynamometer.models import MODES, laws  # noqa: E402
 from .dynamometer.recordings import Data, read  # noqa: E402
 from .dynamometer.scores import AIM, FLOOR, classical, compared, estimates, prediction, scores, told  # noqa: E402
@@ -68,15 +69,17 @@ def main() -> int:
     data = read(options.folder)
     law, figures = classical(data)
     page("Coefficients from mean forces", figures)
-    tried = {}
-    for name, (guess, bend) in laws(law).items():
+    (first, (guess, _)), *others = laws(law).items()
+    say(f"one resonance per axis, {first} law")
+    tried = {first: fit_per_axis(data, guess, say)}
+    for name, (guess, bend) in others:
         say(f"one resonance per axis, {name} law")
-        tried[name] = fit_per_axis(data, guess, bend, say)
+        tried[name] = fit_law(data, tried[first].result, guess, bend, say)
     n, figures = compared({name: fitted.result for name, fitted in tried.items()})
     page(f"Laws: BIC above the least, with {n:.0f} independent residuals; R² of the turn that repeats", figures)
-    report("One resonance per axis, linear law", data, tried["linear"], FLOOR, page)
+    report("One resonance per axis, linear law", data, tried[first], FLOOR, page)
     say(f"{MODES} coupled modes")
-    coupled = fit_coupled(data, tried["linear"].result, [], say)
+    coupled = fit_coupled(data, tried[first].result, say)
     report(f"{MODES} coupled modes, linear law", data, coupled, AIM, page)
     say("fit of the first halves")
     page("Coupled modes: the first half predicts the second", prediction(data, coupled, say))
