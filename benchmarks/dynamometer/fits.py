@@ -108,8 +108,11 @@ def fit_coupled(data: Data, before: FitResult, say: Say) -> Fitted:
     for chain in found:
         frequencies = ", ".join(f"{f:.0f}" for f in np.sort(np.asarray(chain.frequency)))
         say(f"  start {len(starts) + 1}: modes at {frequencies} Hz")
-        inner = np.clip(chain.damping_ratio, 1.02 * DAMPING[0], 0.98 * DAMPING[1])
-        chain = eqx.tree_at(lambda c: c.damping_ratio, chain, jnp.asarray(inner))
+        frequency, damping = (
+            np.clip(x, 1.02 * low, 0.98 * high)
+            for x, (low, high) in ((chain.frequency, FREQUENCY), (chain.damping_ratio, DAMPING))
+        )
+        chain = mx.Resonances(frequency, damping, chain.residue)
         starts.append([eqx.tree_at(lambda c: c.sensor.resonances, case, chain) for case in before.cases])
     _, coefficients = by_tooth(mean_tooth(before.cases[0].force))
     _, of_tool = flexible_tool()
