@@ -292,7 +292,8 @@ class Running:
         return evaluation, None
 
     def _more_sweeps(self) -> None:
-        sweeps = min(self.sweeps + 2, MOST_SWEEPS)
+        # By half: every rise compiles the program again, which costs more than sweeps do.
+        sweeps = min(self.sweeps + max(2, self.sweeps // 2), MOST_SWEEPS)
         raised = [case.with_settings(sweeps=max(sweeps, case.settings.sweeps)) for case in self.asked.cases]
         self.asked = dataclasses.replace(self.asked, cases=tuple(raised))
         self._tell(f"compiling with {sweeps} sweeps")

@@ -34,13 +34,13 @@ SOLVER = "scipy_trf"
 EVALUATIONS = 120
 """Most of model and Jacobian in a fit."""
 
-FIRST, FINALISTS = 25, 2
-"""Evaluations after which starts are compared, where they are more than `FINALISTS`, and how many of them go on."""
+FIRST = 25
+"""Evaluations after which starts are compared; the best one goes on."""
 
-NUMERICS = {"slices": 6, "blocks": 32, "sweeps": 16, "tolerance": 1e-4, "width": 3e-6}
+NUMERICS = {"slices": 6, "blocks": 32, "sweeps": 14, "width": 3e-6}
 """An edge force begins all at once, and the tool gives way at once: short blocks and gates that are not too narrow."""
 
-CHAINS = 8
+CHAINS = 4
 """How many guesses of the coupled chain are fitted."""
 
 Say = Callable[[str], None]
@@ -55,18 +55,17 @@ class Fitted(NamedTuple):
 
 def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[Parameter], say: Say) -> Fitted:
     """The fit with the lowest cost; the starts share one compiled program."""
-    starts = cases_of_starts
-    if len(starts) > FINALISTS:
-        first = sorted(_each(data, starts, parameters, FIRST, say), key=lambda result: result.cost)
-        starts = [list(result.cases) for result in first[:FINALISTS]]
-    found = _each(data, starts, parameters, EVALUATIONS, say)
-    return Fitted(min(found, key=lambda result: result.cost), parameters)
+    first = _each(data, cases_of_starts, parameters, FIRST, say)
+    best = min(first, key=lambda result: result.cost)
+    return Fitted(_each(data, [list(best.cases)], parameters, EVALUATIONS, say)[0], parameters)
 
 
 def _each(data: Data, starts: list[list[mx.Case]], parameters: list[Parameter], most: int, say: Say) -> list[FitResult]:
     found = []
     for cases in starts:
         found.append(fit(cases, data.turns, parameters, solver=SOLVER, check=False, max_iterations=most))
+        if found[-1].status == "cannot_start":
+            raise RuntimeError(f"a start that cannot be simulated: {found[-1].message}")
         say(f"  {len(found)} of {len(starts)}: cost {found[-1].cost:.0f}, {found[-1].iterations} evaluations")
     return found
 

@@ -28,25 +28,17 @@ STIFFNESS = 30e6
 
 
 def laws(found: mx.LinearLaw) -> dict[str, tuple[mx.ForceLaw, list[Parameter]]]:
-    """The laws that are compared, guessed from the coefficients of mean forces, and what they have beside coefficients of
-    each tooth."""
-    kt, edges = float(found.kt), {name: getattr(found, name) for name in ("kr", "ka", "ke", "kre", "kae")}
-    alone = {"kr": found.kr, "ka": found.ka}
+    """What the linear law is compared with, guessed near the one `found`, and what each has beside coefficients of each
+    tooth."""
+    kt, rest = found.kt, {name: getattr(found, name) for name in ("kr", "ka", "ke", "kre", "kae")}
+    hs, m = 300e-6, 0.9
     bend = [Parameter("force.hs", bounds=("1 um", "1 mm")), Parameter("force.r", bounds=(0, 1))]
-    exponent = [Parameter("force.m", bounds=(0.05, 1))]
-
-    def power(m):  # as large as the linear law at 50 um
-        return {"kf": kt * 50e-6 ** (1 - m), "m": m}
-
-    def bent(hs):
-        return {"k0": kt * (1 + 50e-6 / hs), "hs": hs, "r": 0.1}
-
-    return {
-        "linear": (mx.LinearLaw(kt=kt, **edges), []),
-        "exponential": (mx.ExponentialLaw(**power(0.8), **edges), exponent),
-        "fractional": (mx.FractionalLaw(**bent(100e-6), **edges), bend),
-        "exponential, no edge": (mx.ExponentialLaw(**power(0.5), **alone), exponent),
-        "fractional, no edge": (mx.FractionalLaw(**bent(20e-6), **alone), bend),
+    return {  # both as large as the linear one at 50 um
+        "exponential": (
+            mx.ExponentialLaw(kf=kt * 50e-6 ** (1 - m), m=m, **rest),
+            [Parameter("force.m", bounds=(0.05, 1))],
+        ),
+        "fractional": (mx.FractionalLaw(k0=kt * (1 + 50e-6 / hs), hs=hs, r=0.1, **rest), bend),
     }
 
 
