@@ -11,6 +11,7 @@ import numpy as np
 import millax as mx
 from identification import FitResult, Parameter, Trace, align, fit
 from identification._compare import compare
+from millax._names import read_value, replace, value_of
 
 from .models import (
     DAMPING,
@@ -62,7 +63,8 @@ def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[P
 
 def _each(data: Data, starts: list[list[mx.Case]], parameters: list[Parameter], most: int, say: Say) -> list[FitResult]:
     found = []
-    for cases in starts:
+    for start in starts:
+        cases = [off_bounds(case, parameters) for case in start]
         found.append(fit(cases, data.turns, parameters, solver=SOLVER, check=False, max_iterations=most))
         if found[-1].status == "cannot_start":
             raise RuntimeError(f"a start that cannot be simulated: {found[-1].message}")
@@ -107,15 +109,21 @@ def fit_coupled(data: Data, before: FitResult, say: Say) -> Fitted:
     for chain in found:
         frequencies = ", ".join(f"{f:.0f}" for f in np.sort(np.asarray(chain.frequency)))
         say(f"  start {len(starts) + 1}: modes at {frequencies} Hz")
-        frequency, damping = (
-            np.clip(x, 1.02 * low, 0.98 * high)
-            for x, (low, high) in ((chain.frequency, FREQUENCY), (chain.damping_ratio, DAMPING))
-        )
-        chain = mx.Resonances(frequency, damping, chain.residue)
         starts.append([eqx.tree_at(lambda c: c.sensor.resonances, case, chain) for case in before.cases])
     _, coefficients = by_tooth(mean_tooth(before.cases[0].force))
     _, of_tool = flexible_tool()
     return best_of(data, starts, [*coefficients, *of_tool, *OF_TRACES, *coupled()], say)
+
+
+def off_bounds(case: mx.Case, parameters: list[Parameter]) -> mx.Case:
+    """The case with no number on its bounds: there, none knows where to go."""
+    values = {}
+    for p in parameters:
+        low, high = (None if bound is None else read_value(case, p.name, bound) for bound in p.bounds)
+        if low is not None and high is not None:
+            room = 0.02 * (high - low)
+            values[p.name] = jnp.clip(value_of(case, p.name), low + room, high - room)
+    return replace(case, values)
 
 
 def lines(data: Data, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
