@@ -23,11 +23,10 @@ from .models import (
     by_tooth,
     coupled,
     flexible_tool,
-    mean_tooth,
     per_axis,
 )
 from .modes import guesses
-from .recordings import DURATION, EARLIEST, FEEDS, TURN, Data, case_of
+from .recordings import DURATION, EARLIEST, FEEDS, TURN, TURNING, Data, case_of
 
 SOLVER = "scipy_trf"
 """Numbers of very different scales: it sizes its steps by the columns of the Jacobian. The others get stuck here."""
@@ -104,13 +103,13 @@ def fit_coupled(data: Data, before: FitResult, say: Say) -> Fitted:
     force, measured, sigma = lines(data, before)
     bounds = tuple(zip(FREQUENCY, DAMPING, strict=True))
     assert RESIDUES.std is not None
-    found = guesses(force, measured, sigma, 1e4 / TURN, MODES, bounds, float(RESIDUES.std))[:CHAINS]
+    found = guesses(force, measured, sigma, TURNING, MODES, bounds, float(RESIDUES.std))[:CHAINS]
     starts = []
     for chain in found:
         frequencies = ", ".join(f"{f:.0f}" for f in np.sort(np.asarray(chain.frequency)))
         say(f"  start {len(starts) + 1}: modes at {frequencies} Hz")
         starts.append([eqx.tree_at(lambda c: c.sensor.resonances, case, chain) for case in before.cases])
-    _, coefficients = by_tooth(mean_tooth(before.cases[0].force))
+    _, coefficients = by_tooth(before.cases[0].force)
     _, of_tool = flexible_tool()
     return best_of(data, starts, [*coefficients, *of_tool, *OF_TRACES, *coupled()], say)
 

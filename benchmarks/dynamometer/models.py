@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 
 import millax as mx
@@ -43,15 +42,11 @@ def laws(found: mx.LinearLaw) -> dict[str, tuple[mx.ForceLaw, list[Parameter]]]:
 
 
 def by_tooth(law: mx.ForceLaw, teeth: int = 2) -> tuple[mx.ForceLaw, list[Parameter]]:
-    """The law with coefficients of each tooth, and these as free parameters; what bends it stays one number."""
+    """The law with coefficients of each tooth, where it has none yet, and these as free parameters; what bends it stays one
+    number."""
     names = [name for name in ("kt", "k0", "kf", "kr", "ka", "ke", "kre", "kae") if getattr(law, name, None) is not None]
     listed = {name: jnp.full(teeth, getattr(law, name)) for name in names}
     return dataclasses.replace(law, **listed), [Parameter(f"force.{name}.{i}") for name in names for i in range(teeth)]
-
-
-def mean_tooth(law: mx.ForceLaw) -> mx.ForceLaw:
-    """The law with the mean of its teeth: what `by_tooth` makes of it has the same free parameters."""
-    return jax.tree.map(jnp.mean, law)
 
 
 def flexible_tool() -> tuple[mx.Structure, list[Parameter]]:

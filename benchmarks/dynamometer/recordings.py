@@ -12,14 +12,14 @@ FEEDS = (300, 900, 1500)
 AXES = {"X": "Fy", "Y": "Fx", "Z": "Fz"}
 """The axes of the dynamometer by the forces of the model: the feed is along its Y."""
 
-TURN = 100
-"""Samples of a turn of the spindle."""
+TURN, TURNING = 100, 100.0
+"""Samples of a turn of the spindle, and turns a second [Hz]."""
 
 EARLIEST = 0.13
 """Time of the simulation from which it is compared [s]. What the start excites in tool and chain has to have died out: where
 one tooth hardly cuts, the waves that it leaves take ten turns. A fit from 0.05 s on made use of them."""
 
-DURATION = 0.175
+DURATION = EARLIEST + 0.045
 """Of a simulation: until three turns after the first sample, which is within a turn of `EARLIEST` [s]."""
 
 MISSED = 0.3

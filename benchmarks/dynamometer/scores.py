@@ -9,7 +9,7 @@ from identification import Estimate, FitResult, check, mean_force_fit
 
 from ..figures import Figure
 from .fits import Fitted, Say, best_of, predicted, spectrum
-from .recordings import ANY_LAW, AXES, FEEDS, TURN, Data, case_of, halves
+from .recordings import ANY_LAW, AXES, FEEDS, TURN, TURNING, Data, case_of, halves
 
 FLOOR = {"X": (0.88, 0.89, 0.70), "Y": (0.92, 0.93, 0.85)}
 """With one resonance per axis."""
@@ -67,7 +67,7 @@ def told(result: FitResult) -> list[Figure]:
             column = amplitude[:, one.trace.channels.index(force)]
             found += [(float(size), axis, feed, h + 1) for h, size in enumerate(column)]
     return [
-        Figure(f"{axis} at {feed} mm/min", f"{size:.0f} N", f"{1e4 / TURN * h:.0f} Hz = {multiple(h)}", None)
+        Figure(f"{axis} at {feed} mm/min", f"{size:.0f} N", f"{TURNING * h:.0f} Hz = {multiple(h)}", None)
         for size, axis, feed, h in sorted(found, reverse=True)[:LARGEST]
     ]
 
