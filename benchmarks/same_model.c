@@ -73,7 +73,7 @@ static inline int thickness(const Case *c, const Place *p, const Past *past, dou
             ? n * dx - s * dy + across * (across / (2 * c->radius) - (n * past[k].vx - s * past[k].vy)) : c->radius;
         /* So far out of contact that any pass preferred to this one, or blended with it, is out of contact too. */
         if (g < -change - 3 * c->width) return 0;
-        const double score = fmax(g, (g + change) / 2);
+        const double score = g > change + c->width ? g : positive_part(g, half_change(change, c->width));
         if (k == 0) {
             least = score, *gap = g, *rate = across;
             continue;
@@ -87,10 +87,17 @@ static inline int thickness(const Case *c, const Place *p, const Past *past, dou
 
 /* _contact.py */
 
-static inline double mean_force(const Case *c, double gap, double half)
+typedef struct { double low, high, half; } Range; /* of the thickness in a step */
+
+static inline Range range(double gap, double change, double width)
 {
-    return work(c, fmax(gap - half, 0), fmax(gap + half, 0)) / (2 * half);
+    const double half = half_change(change, width / 2);
+    return (Range){positive_part(gap - half, width / 2), positive_part(gap + half, width / 2), half};
 }
+
+static inline double mean_thickness(Range r) { return (r.high - r.low) * (r.high + r.low) / (4 * r.half); }
+
+static inline double mean_force(const Case *c, Range r) { return work(c, r.low, r.high) / (2 * r.half); }
 
 /* The distance from the nearest border at both ends of the step, as a thickness; 0 where all are too far to matter. */
 static inline int nearest(const Case *c, const Place *p, double x, double y, double h, double *start, double *end)
@@ -113,10 +120,12 @@ static inline int nearest(const Case *c, const Place *p, double x, double y, dou
 
 static inline Contact crossing(const Case *c, const Place *p, double x, double y, double gap, double rate)
 {
-    const double half_step = c->step_angle / 2, half = half_change(rate * half_step, c->width), h = positive_part(gap, half);
+    const double change = rate * c->step_angle / 2;
+    const Range whole = range(gap, change, c->width);
+    const double h = mean_thickness(whole);
     double start = 0, end = 0;
     if (h == 0) return (Contact){0, 0, 0};
-    if (!nearest(c, p, x, y, h, &start, &end)) return (Contact){mean_force(c, gap, half), h, 0};
+    if (!nearest(c, p, x, y, h, &start, &end)) return (Contact){mean_force(c, whole), h, 0};
     const double length = sqrt((end - start) * (end - start) + c->width * c->width + 1e-24), middle = (start + end) / 2;
     const double low = middle - length / 2, high = middle + length / 2;
     if (high <= 0) return (Contact){0, 0, 0};
@@ -126,8 +135,7 @@ static inline Contact crossing(const Case *c, const Place *p, double x, double y
     const double moment = (ramp_high * ramp_high * ramp_high - ramp_low * ramp_low * ramp_low) / 3
                           + h * full * ((full_high + full_low) / 2);
     const double turn = (moment / area - middle) * (end - start) / (length * length) * c->step_angle;
-    const double plateau = full > 0
-        ? mean_force(c, gap + rate * turn, half_change(rate * full / length * half_step, c->width)) * full : 0;
+    const double plateau = full > 0 ? mean_force(c, range(gap + rate * turn, change * full / length, c->width)) * full : 0;
     return (Contact){(work(c, ramp_low, ramp_high) + plateau) / length, area / length, turn};
 }
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ._math import preferred
+from ._math import half_change, positive_part, preferred
 from ._types import Scalar
 
 
@@ -98,7 +98,7 @@ def thickness(paths: Paths, width: Scalar, step_angle: float) -> tuple[Float[Arr
 
 def choices(paths: Paths, width: Scalar, step_angle: float) -> tuple[tuple[Choice, ...], tuple[Array, Array, Array]]:
     """Whether the second pass and those after it leave less than all before; and the last of `least_so_far`."""
-    least, *others = passes(paths, step_angle)
+    least, *others = passes(paths, width, step_angle)
     found = []
     for other in others:
         found.append(Choice(*preferred(least[2], other[2], width)))
@@ -106,22 +106,23 @@ def choices(paths: Paths, width: Scalar, step_angle: float) -> tuple[tuple[Choic
     return tuple(found), least
 
 
-def least_so_far(paths: Paths, choices: tuple[Choice, ...], step_angle: float) -> list[tuple[Array, Array, Array]]:
+def least_so_far(
+    paths: Paths, choices: tuple[Choice, ...], width: Scalar, step_angle: float
+) -> list[tuple[Array, Array, Array]]:
     """Of the first pass, the first two and so on: g, its rate and what counts, of the one that leaves the least."""
-    least, *others = passes(paths, step_angle)
+    least, *others = passes(paths, width, step_angle)
     found = [least]
     for other, choice in zip(others, choices, strict=True):
         found.append(blended(found[-1], other, choice.weight))
     return found
 
 
-def passes(paths: Paths, step_angle: float) -> list[tuple[Array, Array, Array]]:
-    """g_k [m], its rate [m/rad], and by what the passes are compared: what is left on the average of the step [m].
+def passes(paths: Paths, width: Scalar, step_angle: float) -> list[tuple[Array, Array, Array]]:
+    """g_k [m], its rate [m/rad], and by what the passes are compared: the mean thickness that is left in the step [m].
 
     In a step in which a tooth begins or ends to cut, that is another pass than the one with the smallest g_k in its middle.
-    Of a g that changes by 2 a in the step, (g + a)/2 stands for the mean of its positive part while abs(g) < a.
     """
-    return [(gap, rate, jnp.maximum(gap, (gap + jnp.abs(rate) * (step_angle / 2)) / 2)) for gap, rate in paths]
+    return [(gap, rate, positive_part(gap, half_change(rate, step_angle, width))) for gap, rate in paths]
 
 
 def blended(a, b, weight) -> tuple[Array, Array, Array]:

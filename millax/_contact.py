@@ -85,9 +85,9 @@ class Contact(NamedTuple):
 
 def fully_inside(law: ForceLaw, gap, rate, step_angle: float, width: Scalar) -> Contact:
     """Mean force and thickness in each step of teeth that meet no border; arguments as in `crossing`."""
-    half = half_change(rate, step_angle, width)
-    engaged = _mean_force(UnitLaw(), gap, half) if law.feels_contact else None
-    return Contact(_mean_force(law, gap, half), engaged, None, positive_part(gap, half))
+    change = gap, rate, step_angle, width
+    engaged = _mean_force(UnitLaw(), *change) if law.feels_contact else None
+    return Contact(_mean_force(law, *change), engaged, None, _mean_thickness(*change))
 
 
 def crossing(
@@ -108,7 +108,7 @@ def crossing(
 
     def passage(borders, displacement, gap, rate, width):
         """Chip thickness, and x at the start and the end of the step."""
-        h = positive_part(gap, half_change(rate, step_angle, width))
+        h = _mean_thickness(gap, rate, step_angle, width)
         shift = borders.normals[0] * displacement[0] + borders.normals[1] * displacement[1]
         start = (borders.before - shift) * borders.steepness + borders.exits * h
         end = (borders.after - shift) * borders.steepness + borders.exits * h
@@ -132,7 +132,7 @@ def crossing(
 
     def forces(law, gap, rate, turn, ramp_low, ramp_high, part, per_length, width):
         # The rest of the step, at full thickness, is shorter than the step and lies past its middle by `turn`.
-        plateau = _mean_force(law, gap + rate * turn, half_change(rate * part, step_angle, width))
+        plateau = _mean_force(law, gap + rate * turn, rate * part, step_angle, width)
         return work(law, ramp_low, ramp_high) * per_length + plateau * part
 
     h, start, end = stored(near, passage, borders, displacement, gap, rate, width)
@@ -154,9 +154,22 @@ def _raise(start, end, bulge):
     return part * (2 - 4 / 3 * part)
 
 
-def _mean_force(law: ForceLaw, gap, half):
-    """Mean of F_t over a thickness from gap - half to gap + half, 0 out of contact."""
-    return work(law, jnp.maximum(gap - half, 0.0), jnp.maximum(gap + half, 0.0)) / (2 * half)
+def _mean_force(law: ForceLaw, gap, rate, step_angle: float, width: Scalar):
+    """Mean of F_t over a step in which the thickness changes by `rate` [m/rad] around `gap`, 0 out of contact."""
+    return _mean(lambda low, high: work(law, low, high), gap, rate, step_angle, width)
+
+
+def _mean_thickness(gap, rate, step_angle: float, width: Scalar):
+    """Of the same step."""
+    return _mean(lambda low, high: (high - low) * (high + low) / 2, gap, rate, step_angle, width)
+
+
+def _mean(integral, gap, rate, step_angle: float, width: Scalar):
+    """Half of the width goes to the range of thicknesses and half to the border of contact: without the latter, the slope of
+    an edge force, which begins all at once, would jump where the range reaches the border."""
+    half = half_change(rate, step_angle, width / 2)
+    low, high = (positive_part(gap + end, width / 2) for end in (-half, half))
+    return integral(low, high) / (2 * half)
 
 
 def _nearest(x: Float[Array, "borders teeth m"], width: Scalar) -> Float[Array, "teeth m"]:

@@ -2,8 +2,8 @@
 
 The engine needs of a law only its integral W, the cutting work: the mean force over a step in which the thickness grows
 from a to b is W(a, b)/(b - a), exactly, whatever the law does in between. That mean is what smooths the laws: a jump of
-the edge force or an infinite slope at h = 0 is spread over the change of thickness within a step, and at least over the
-width of `Settings`. The radial force is F_r = k_r F_t (E 28), the axial one F_a = k_a F_t; with edge forces of their own,
+the edge force or an infinite slope at h = 0 is spread over the change of thickness within a step, and over the width of
+`Settings`. The radial force is F_r = k_r F_t (E 28), the axial one F_a = k_a F_t; with edge forces of their own,
 radial and axial force have another share of the edge force than of the rest, and only that one.
 
 Every law may have an edge force: a part of the force that is there whenever a tooth is in contact, whatever the thickness,
@@ -138,8 +138,7 @@ class LinearLaw(ForceLaw):
 
     - `kt`: cutting coefficient k_T [N/m²], > 0.
     - `kr`: radial over tangential force k_r [-].
-    - `ke`: edge coefficient k_E [N/m], >= 0. With an edge force the gradient of the smoothed force is continuous only
-      piecewise.
+    - `ke`: edge coefficient k_E [N/m], >= 0.
     - `ka`: axial over tangential force k_a [-], see `ForceLaw`.
     - `kre`: radial edge coefficient k_rE [N/m]; None is k_r k_E.
     - `kae`: axial edge coefficient k_aE [N/m], along +z like F_a; None is k_a k_E. Needs `ka`.

@@ -20,7 +20,7 @@ from ._block import Conditions, Process, Slice, added, contact, found_paths, of_
 from ._chip import Angles, Choice, Commanded, Paths, choices, least_so_far, passes
 from ._contact import force_on_tool
 from ._einsum import einsum
-from ._math import stored, summed
+from ._math import half_change, stored, summed
 from ._response import Motion
 
 
@@ -68,7 +68,7 @@ def linearise(p: Process, wanted: Others, motion: Float[Array, "felt m"]) -> Par
 
 def _of_slice(p: Process, own, inside, wanted: Others, motion, found: Paths, chosen, *, near: bool) -> Partials:
     """Derivatives of the forces of a slice, near a border or far from all."""
-    gap, rate, _ = least_so_far(found, chosen, p.step_angle)[-1]
+    gap, rate, _ = least_so_far(found, chosen, p.conditions.width, p.step_angle)[-1]
     of_met, of_forces = _by_contact(p, own, inside, wanted, motion, gap, rate, near=near)
     back = functools.partial(_by_paths, width=p.conditions.width, step_angle=p.step_angle)
     # Once for each quantity that a tooth meets, and not for each force: far from borders it is one.
@@ -193,8 +193,8 @@ def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "te
 
     `_chip.thickness` in reverse.
     """
-    others = passes(paths, step_angle)[1:]
-    stages = least_so_far(paths, chosen, step_angle)[:-1]
+    others = passes(paths, width, step_angle)[1:]
+    stages = least_so_far(paths, chosen, width, step_angle)[:-1]
     by, by_width, found = (by_gap, by_rate, jnp.zeros_like(by_gap)), jnp.zeros_like(by_gap), []
     for least, other, choice in reversed(list(zip(stages, others, chosen, strict=True))):
         by_difference = choice.slope * sum(b * (y - x) for b, x, y in zip(by, least, other, strict=True))
@@ -204,14 +204,14 @@ def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "te
         by = [b * (1 - choice.weight) for b in by]
         by[2] = by[2] + by_difference
     found.append(by)
-
-    def by_path(path, by):
-        (gap, rate), half = path, step_angle / 2
-        whole = gap > jnp.abs(rate) * half
-        by_gap = by[0] + by[2] * jnp.where(whole, 1.0, 0.5)
-        return by_gap, by[1] + by[2] * jnp.where(whole, 0.0, jnp.sign(rate) * half / 2)
-
-    return tuple(map(by_path, paths, reversed(found))), by_width
+    by_paths = []
+    for (gap, rate), by in zip(paths, reversed(found), strict=True):
+        half = half_change(rate, step_angle, width)
+        x = jnp.clip(gap / half, -1.0, 1.0)
+        by_half = by[2] * (1 - x * x) / (4 * half)
+        by_paths.append((by[0] + by[2] * (1 + x) / 2, by[1] + by_half * rate * (step_angle / 2) ** 2))
+        by_width = by_width + by_half * width
+    return tuple(by_paths), by_width
 
 
 def _by_earlier(p: Process, own: Slice, wanted: Others, displacement, found: Paths, by_paths):
