@@ -162,7 +162,7 @@ def free(cases: Case | Sequence[Case], parameters: Sequence[Parameter | Tie]) ->
     ties = [one for tie in parameters if isinstance(tie, Tie) for one in _tied(cases, tie, found)]
     known = [(i, one.prior) for i, one in enumerate(found) if one.prior is not None]
     return FreeParameters(
-        transforms=tuple(transform_for(one.guess, one.low, one.high) for one in found),
+        transforms=tuple(transform_for(one.guess, one.low, one.high, one.spread) for one in found),
         guess=[one.guess for one in found],
         low=[one.low for one in found],
         high=[one.high for one in found],
@@ -196,6 +196,11 @@ class _Coordinate:
     @property
     def name(self) -> str:
         return self.leaf if self.place is None else f"{self.leaf}.trace_{self.place + 1}"
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the prior, 0 where there is none for the number itself."""
+        return 0.0 if self.prior is None or self.prior[2] else self.prior[1]
 
 
 def _coordinates(cases: Sequence[Case], parameter: Parameter) -> list[_Coordinate]:

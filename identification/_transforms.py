@@ -1,7 +1,7 @@
 """From an unbounded coordinate to a parameter within its bounds.
 
 A solver moves freely in y; the parameter v(y) never leaves its bounds. y = 0 is the guess, and a change of y by 1 is a
-large but sensible change of v: a factor e, a good part of the range, or the size of the guess.
+large but sensible change of v: a factor e, a good part of the range, or the size of the guess or of its prior.
 """
 
 import abc
@@ -80,10 +80,11 @@ class Between(Transform):
         return jnp.log((v - self.low) / (self.high - v)) - self.offset
 
 
-def transform_for(guess: float, low: float, high: float) -> Transform:
-    """The transform for low < guess < high, either of which may be infinite; y = 0 is the guess."""
+def transform_for(guess: float, low: float, high: float, spread: float = 0.0) -> Transform:
+    """The transform for low < guess < high, either of which may be infinite; y = 0 is the guess. `spread` is the
+    standard deviation of the prior, 0 where there is none."""
     if math.isinf(low) and math.isinf(high):
-        return Scaled(guess, abs(guess) or 1.0)
+        return Scaled(guess, max(abs(guess), spread) or 1.0)
     if math.isinf(high):
         return Above(low, guess - low)
     if math.isinf(low):

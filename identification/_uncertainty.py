@@ -23,7 +23,8 @@ INVOLVED = 0.05
 
 UNKNOWN = 1.0
 """Standard error in y from which on a parameter counts as unknown. It is then a factor e for a parameter with one
-bound, a quarter of the range for one with two, and the size of the guess for one with none."""
+bound, a quarter of the range for one with two, and for one with none the size of the guess, or the standard deviation of its
+prior where that is larger."""
 
 AT_BOUND = 1e-3
 """A parameter nearer to a bound than this part of its range (with one bound: of the guess's distance) is at it."""

@@ -1,5 +1,7 @@
 """Fits with numbers of single traces, ties and priors, on short rigid cuts."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -57,6 +59,15 @@ def test_a_prior_pulls_as_one_more_measurement_of_the_number_does():
     known = fit(CASES[0], traces, [Parameter("force.kr", prior=Prior(alone.value + alone.std, alone.std))])["force.kr"]
     assert known.value == pytest.approx(alone.value + alone.std / 2, abs=0.01 * alone.std)
     assert known.std == pytest.approx(alone.std / np.sqrt(2), rel=1e-3)
+
+
+def test_a_prior_says_how_well_a_number_near_zero_is_known():
+    # Noise drowns the force: what is left is what was known before, however large that is against the guess.
+    drowned = [dataclasses.replace(trace, noise={"Fx": 1e6, "Fy": 1e6}) for trace in measured(CASES[:1])]
+    found = check(CASES[0], drowned, [Parameter("force.kr", 1e-3, prior=Prior(0.0, 0.1))])
+    assert found.identifiable
+    assert found.parameters[0].std == pytest.approx(0.1, rel=1e-3)
+    assert not check(CASES[0], drowned, [Parameter("force.kr", 1e-3)]).identifiable
 
 
 @pytest.mark.long
