@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import millax as mx
-from identification import FitResult, Parameter, Trace, align, fit
+from identification import FitResult, Parameter, Tie, Trace, align, fit
 from identification._compare import compare
 from millax._names import read_value, replace, value_of
 
@@ -29,7 +29,7 @@ from .modes import guesses
 from .recordings import DURATION, EARLIEST, FEEDS, TURN, TURNING, Data, case_of
 
 SOLVER = "scipy_trf"
-"""Numbers of very different scales: it sizes its steps by the columns of the Jacobian. The others get stuck here."""
+"""Numbers of very different scales: it sizes its steps by the columns of the Jacobian."""
 
 EVALUATIONS = 120
 """Most of model and Jacobian in a fit."""
@@ -40,8 +40,13 @@ FIRST = 25
 NUMERICS = {"slices": 6, "blocks": 32, "sweeps": 14, "width": 3e-6}
 """An edge force begins all at once, and the tool gives way at once: short blocks and gates that are not too narrow."""
 
-CHAINS = 4
-"""How many guesses of the coupled chain are fitted."""
+CHAINS, BEFORE = 3, 3
+"""How many guesses of the coupled chain are fitted from a simulated force, and from how many such forces at first."""
+
+GAIN = 0.01
+"""A round of guesses that lowers the cost by a smaller part is the last one."""
+
+Free = list[Parameter | Tie]
 
 Say = Callable[[str], None]
 
@@ -50,24 +55,26 @@ class Fitted(NamedTuple):
     """A fit and what was free in it."""
 
     result: FitResult
-    parameters: list[Parameter]
+    parameters: Free
+    ends: list[FitResult]
+    """Where the starts were when they were compared, the best first."""
 
 
-def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: list[Parameter], say: Say) -> Fitted:
+def best_of(data: Data, cases_of_starts: list[list[mx.Case]], parameters: Free, say: Say) -> Fitted:
     """The fit with the lowest cost; the starts share one compiled program."""
-    first = _each(data, cases_of_starts, parameters, FIRST, say)
-    best = min(first, key=lambda result: result.cost)
-    return Fitted(_each(data, [list(best.cases)], parameters, EVALUATIONS, say)[0], parameters)
+    ends = sorted(_each(data, cases_of_starts, parameters, FIRST, say), key=lambda result: result.cost)
+    return Fitted(_each(data, [list(ends[0].cases)], parameters, EVALUATIONS, say)[0], parameters, ends)
 
 
-def _each(data: Data, starts: list[list[mx.Case]], parameters: list[Parameter], most: int, say: Say) -> list[FitResult]:
+def _each(data: Data, starts: list[list[mx.Case]], parameters: Free, most: int, say: Say) -> list[FitResult]:
     found = []
     for start in starts:
         cases = [off_bounds(case, parameters) for case in start]
         found.append(fit(cases, data.turns, parameters, solver=SOLVER, check=False, max_iterations=most))
         if found[-1].status == "cannot_start":
             raise RuntimeError(f"a start that cannot be simulated: {found[-1].message}")
-        say(f"  {len(found)} of {len(starts)}: cost {found[-1].cost:.0f}, {found[-1].iterations} evaluations")
+        said = f"{found[-1].iterations} evaluations, {found[-1].status}"
+        say(f"  {len(found)} of {len(starts)}: cost {found[-1].cost:.0f}, {said}")
     return found
 
 
@@ -98,30 +105,40 @@ def fit_law(data: Data, before: FitResult, law: mx.ForceLaw, bend: list[Paramete
     return best_of(data, [cases], parameters, say)
 
 
-def fit_coupled(data: Data, before: FitResult, say: Say) -> Fitted:
-    """Modes that couple the axes, from the result with one resonance per axis."""
-    force, measured, sigma = lines(data, before)
+def fit_coupled(data: Data, before: Fitted, say: Say) -> Fitted:
+    """Modes that couple the axes, from fits with one resonance per axis: guessed from the forces of these, then in rounds
+    from those of the best fit so far, until nothing is gained."""
+    _, coefficients = by_tooth(before.result.cases[0].force)
+    parameters = [*coefficients, *flexible_tool()[1], *OF_TRACES, *coupled()]
+    best, forces = None, [before.result, *before.ends[1:BEFORE]]
+    while True:
+        starts = [start for result in forces for start in _with_chains(data, result, say)]
+        found = best_of(data, starts, parameters, say)
+        if best is not None and found.result.cost > (1 - GAIN) * best.result.cost:
+            return min(best, found, key=lambda fitted: fitted.result.cost)
+        best, forces = found, [found.result]
+
+
+def _with_chains(data: Data, result: FitResult, say: Say) -> list[list[mx.Case]]:
+    """Its cases with the best guesses of a coupled chain."""
     bounds = tuple(zip(FREQUENCY, DAMPING, strict=True))
     assert RESIDUES.std is not None
-    found = guesses(force, measured, sigma, TURNING, MODES, bounds, float(RESIDUES.std))[:CHAINS]
-    starts = []
+    found = guesses(*lines(data, result), TURNING, MODES, bounds, float(RESIDUES.std))[:CHAINS]
     for chain in found:
-        frequencies = ", ".join(f"{f:.0f}" for f in np.sort(np.asarray(chain.frequency)))
-        say(f"  start {len(starts) + 1}: modes at {frequencies} Hz")
-        starts.append([eqx.tree_at(lambda c: c.sensor.resonances, case, chain) for case in before.cases])
-    _, coefficients = by_tooth(before.cases[0].force)
-    _, of_tool = flexible_tool()
-    return best_of(data, starts, [*coefficients, *of_tool, *OF_TRACES, *coupled()], say)
+        say(f"  a guess: modes at {', '.join(f'{f:.0f}' for f in np.sort(np.asarray(chain.frequency)))} Hz")
+    return [[eqx.tree_at(lambda c: c.sensor.resonances, case, chain) for case in result.cases] for chain in found]
 
 
-def off_bounds(case: mx.Case, parameters: list[Parameter]) -> mx.Case:
+def off_bounds(case: mx.Case, parameters: Free) -> mx.Case:
     """The case with no number on its bounds: there, none knows where to go."""
     values = {}
     for p in parameters:
+        if isinstance(p, Tie):
+            continue
         low, high = (None if bound is None else read_value(case, p.name, bound) for bound in p.bounds)
         if low is not None and high is not None:
-            room = 0.02 * (high - low)
-            values[p.name] = jnp.clip(value_of(case, p.name), low + room, high - room)
+            room = [max(0.1 * abs(bound), 1e-3 * (high - low)) for bound in (low, high)]
+            values[p.name] = jnp.clip(value_of(case, p.name), low + room[0], high - room[1])
     return replace(case, values)
 
 

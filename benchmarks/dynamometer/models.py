@@ -3,17 +3,18 @@
 import dataclasses
 
 import jax.numpy as jnp
+import numpy as np
 
 import millax as mx
-from identification import Parameter, Prior
+from identification import Parameter, Prior, Tie
 
-STARTS = ((1000.0, -8e-6), (2000.0, -16e-6))
-"""Frequencies of resonances [Hz] and runout [m]."""
+STARTS = tuple((frequency, runout) for frequency in (1000.0, 2000.0) for runout in (-8e-6, -16e-6, -32e-6))
+"""Frequencies of resonances [Hz] and runout [m]: a third, two thirds and four thirds of the smallest feed per tooth."""
 
 MODES = 5
 """Of a coupled chain."""
 
-FREQUENCY, DAMPING = (300.0, 4500.0), (0.02, 0.5)
+FREQUENCY, DAMPING = (300.0, 4500.0), (0.01, 0.5)
 """Of a mode of the chain [Hz], [-]. One with less damping would still ring from the start of the simulation."""
 
 OFFSETS = Prior(mean=0.0, std=10.0)
@@ -23,7 +24,13 @@ RESIDUES = Prior(mean=0.0, std=1.0)
 """What is known of a coupled chain: its residues are of the order of the static gain, 1."""
 
 STIFFNESS = 30e6
-"""Of the tool in its spindle, at first [N/m]; with a mode at 1 kHz."""
+"""Of the tool in its spindle, at first [N/m]."""
+
+SOFTEST_AND_STIFFEST = (4e6, 200e6)
+"""Of the same. A softer tool with more runout makes much the same forces, on and on."""
+
+TOOL = 1000.0
+"""Frequency of its modes [Hz]. Not found: what a well damped tool does to the forces hardly depends on it."""
 
 
 def laws(found: mx.LinearLaw) -> dict[str, tuple[mx.ForceLaw, list[Parameter]]]:
@@ -49,13 +56,19 @@ def by_tooth(law: mx.ForceLaw, teeth: int = 2) -> tuple[mx.ForceLaw, list[Parame
     return dataclasses.replace(law, **listed), [Parameter(f"force.{name}.{i}") for name in names for i in range(teeth)]
 
 
-def flexible_tool() -> tuple[mx.Structure, list[Parameter]]:
+def flexible_tool() -> tuple[mx.Structure, list[Parameter | Tie]]:
     """A tool with one mode in each direction of the plane."""
-    mass = STIFFNESS / (2 * jnp.pi * 1000.0) ** 2
-    structure = mx.Structure(("x", "y"), jnp.full(2, mass), jnp.full(2, STIFFNESS), damping_ratio=jnp.full(2, 0.08))
-    of_axis = [(f"structure.mass.{a}", f"structure.stiffness.{a}") for a in "xy"]
-    free = [Parameter(name) for pair in of_axis for name in pair]
-    return structure, [*free, *[Parameter(f"structure.damping_ratio.{a}", bounds=(0.01, 0.5)) for a in "xy"]]
+    per_stiffness = 1 / (2 * np.pi * TOOL) ** 2
+    stiffness = jnp.full(2, STIFFNESS)
+    structure = mx.Structure(("x", "y"), per_stiffness * stiffness, stiffness, damping_ratio=jnp.full(2, 0.3))
+    free: list[Parameter | Tie] = []
+    for axis in "xy":
+        free += [
+            Parameter(f"structure.stiffness.{axis}", bounds=SOFTEST_AND_STIFFEST),
+            Parameter(f"structure.damping_ratio.{axis}", bounds=(0.01, 2.0)),
+            Tie(f"structure.mass.{axis}", to=f"structure.stiffness.{axis}", factor=per_stiffness),
+        ]
+    return structure, free
 
 
 OF_TRACES = [

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 import millax as mx
-from identification import Estimate, FitResult, check, mean_force_fit
+from identification import Estimate, FitResult, Parameter, Tie, check, mean_force_fit
 
 from ..figures import Figure
 from .fits import Fitted, Say, best_of, predicted, spectrum
@@ -120,8 +120,14 @@ def intervals(data: Data, fitted: Fitted, n: float) -> dict[str, float | None]:
     numbers of the size they have. None where a bound decides, or the measurements leave a parameter open."""
     result, samples = fitted.result, sum(one.residuals.size for one in fitted.result.traces)
     factor = np.sqrt(misfit(result) * samples / max(n - len(result.parameters), 1.0))
-    free = [p for p in fitted.parameters if p.name not in {e.name for e in result.parameters if bounded(e)}]
-    known = check(list(result.cases), data.turns, [dataclasses.replace(p, guess=None) for p in free])
+    held = {e.name for e in result.parameters if bounded(e)}
+    free: list[Parameter | Tie] = []
+    for p in fitted.parameters:
+        if isinstance(p, Parameter) and p.name not in held:
+            free.append(dataclasses.replace(p, guess=None))
+        elif isinstance(p, Tie) and p.to not in held:
+            free.append(p)
+    known = check(list(result.cases), data.turns, free)
     std = {prospect.name: prospect.std for prospect in known.parameters}
     found = {e.name: std.get(e.name) for e in result.parameters}
     return {name: None if one is None else float(1.96 * factor * one) for name, one in found.items()}
