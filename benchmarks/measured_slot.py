@@ -102,13 +102,14 @@ Made by `python -m benchmarks.measured_slot FOLDER --write docs/measured_slot.md
 and how it is weighed. How to read it:
 
 - Structure and weights do not depend on the scores of a run. They were found on these same recordings, though: some seven
-  weightings, several chains, a rigid tool, and other bounds and starts came before, with R² in sight. R² here describes; it is no forecast for
-  others. With a rigid tool Y at 1500 mm/min stayed at 0.84, one resonance per axis and the other floors kept.
+  weightings, several chains, a rigid tool, and other bounds and starts came before, with R² in sight. R² here describes; it
+  is no forecast for others. With a rigid tool Y at 1500 mm/min stayed at 0.84, one resonance per axis and the other floors
+  kept.
 - What the tool does is seen through the forces alone. A softer tool with more runout makes much the same forces: neither
-  number is a measurement of the tool, and where a stiffness is at its bound, the bound has decided. The chain is seen at
-  multiples of 100 Hz only: its modes stand for it at this spindle speed, and are no modal analysis.
-- "not_identifiable": the optimum is reached, and some numbers stay open; they are marked so in the tables. "not_converged":
-  the evaluations ended before. Other optima have almost the same cost and other numbers: intervals are those around one.
+  number is a measurement of the tool. The chain is seen at multiples of 100 Hz only: its modes stand for it at this spindle
+  speed, and are no modal analysis.
+- "not_identifiable", "at_bound": the optimum is reached, and some numbers stay open; they are marked so in the tables, and where one
+  is at its bound, that has decided. Other optima have almost the same cost and other numbers: intervals are those around one.
 - Differences of BIC below 4 between laws decide nothing. The offsets take up what the mean forces of the model miss.
 """
 
