@@ -108,8 +108,8 @@ and how it is weighed. How to read it:
 - What the tool does is seen through the forces alone. A softer tool with more runout makes much the same forces: neither
   number is a measurement of the tool. The chain is seen at multiples of 100 Hz only: its modes stand for it at this spindle
   speed, and are no modal analysis.
-- "not_identifiable", "at_bound": the optimum is reached, and some numbers stay open; they are marked so in the tables, and where one
-  is at its bound, that has decided. Other optima have almost the same cost and other numbers: intervals are those around one.
+- "not_identifiable", "at_bound": the optimum is reached; some numbers stay open and are marked so in the tables, or are
+  decided by a bound. Other optima have almost the same cost and other numbers: intervals are those around one.
 - Differences of BIC below 4 between laws decide nothing. The offsets take up what the mean forces of the model miss.
 """
 

@@ -118,7 +118,8 @@ def least_so_far(
 
 
 def passes(paths: Paths, width: Scalar, step_angle: float) -> list[tuple[Array, Array, Array]]:
-    """g_k [m], its rate [m/rad], and by what the passes are compared: the mean thickness that is left in the step [m].
+    """g_k [m], its rate [m/rad], and by what the passes are compared: the mean thickness that is left in the step [m], up
+    to how the width enters it (`_contact._mean` takes more).
 
     In a step in which a tooth begins or ends to cut, that is another pass than the one with the smallest g_k in its middle.
     """
