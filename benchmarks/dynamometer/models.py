@@ -30,7 +30,7 @@ SOFTEST_AND_STIFFEST = (4e6, 200e6)
 """Of the same. A softer tool with more runout makes much the same forces, on and on."""
 
 TOOL = 1000.0
-"""Frequency of its modes [Hz]. Not found: what a well damped tool does to the forces hardly depends on it."""
+"""Frequency of its modes [Hz]. Not found: the forces hardly tell it, and the time steps do not resolve one far above."""
 
 
 def laws(found: mx.LinearLaw) -> dict[str, tuple[mx.ForceLaw, list[Parameter]]]:
