@@ -11,7 +11,9 @@ from millax._contact import fully_inside
 
 STEP, WIDTH = 2 * np.pi / 128, 1e-6
 
-LAW = mx.LinearLaw(kt=8e8, kr=0.3, ke=2e4, ka=0.1, kre=3e4, kae=1e4)
+KT, KE = 8e8, 2e4
+
+LAW = mx.LinearLaw(kt=KT, kr=0.3, ke=KE, ka=0.1, kre=3e4, kae=1e4)
 
 
 def tangential(gap, rate):
@@ -55,5 +57,5 @@ def test_a_crossing_keeps_its_impulse(rate, width):
     assert float(jnp.mean(engaged)) == pytest.approx(0.5, abs=1e-5)
     thickness = float(jnp.mean(met.thickness))
     assert thickness == pytest.approx(0.25e-5 + change**2 / 6 / 2e-5, rel=1e-4, abs=width**2 / 6 / 2e-5)
-    force = 8e8 * met.thickness + 2e4 * engaged
+    force = KT * met.thickness + KE * engaged
     assert np.allclose(met.tangential, force, rtol=1e-9, atol=1e-9 * float(jnp.max(force)))

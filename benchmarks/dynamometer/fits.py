@@ -17,11 +17,12 @@ from .models import (
     DAMPING,
     FREQUENCY,
     MODES,
-    OF_TRACES,
     RESIDUES,
     STARTS,
+    Free,
     by_tooth,
     coupled,
+    fitted,
     flexible_tool,
     per_axis,
 )
@@ -45,8 +46,6 @@ CHAINS, BEFORE = 3, 3
 
 GAIN = 0.01
 """A round of guesses that lowers the cost by a smaller part is the last one."""
-
-Free = list[Parameter | Tie]
 
 Say = Callable[[str], None]
 
@@ -81,7 +80,7 @@ def _each(data: Data, starts: list[list[mx.Case]], parameters: Free, most: int, 
 def fit_per_axis(data: Data, law: mx.ForceLaw, say: Say) -> Fitted:
     """A flexible tool, and one resonance per axis of the dynamometer."""
     law, coefficients = by_tooth(law)
-    structure, of_tool = flexible_tool()
+    structure, _ = flexible_tool()
     starts, parameters = [], []
     for frequency, runout in STARTS:
         resonances, parameters = per_axis(frequency)
@@ -94,14 +93,14 @@ def fit_per_axis(data: Data, law: mx.ForceLaw, say: Say) -> Fitted:
             clock = dataclasses.replace(align(case, average.trace), speed_error=jnp.zeros(()))
             cases.append(dataclasses.replace(case, sensor=mx.Sensor(resonances=resonances), clock=clock))
         starts.append(cases)
-    return best_of(data, starts, [*coefficients, *of_tool, *OF_TRACES, *parameters], say)
+    return best_of(data, starts, fitted(coefficients, parameters), say)
 
 
 def fit_law(data: Data, before: FitResult, law: mx.ForceLaw, bend: list[Parameter], say: Say) -> Fitted:
     """Another law, from the tool and the chain that the result with one resonance per axis has."""
     law, coefficients = by_tooth(law)
     cases = [dataclasses.replace(case, force=law) for case in before.cases]
-    parameters = [*coefficients, *bend, *flexible_tool()[1], *OF_TRACES, *per_axis(STARTS[0][0])[1]]
+    parameters = fitted([*coefficients, *bend], per_axis(STARTS[0][0])[1])
     return best_of(data, [cases], parameters, say)
 
 
@@ -109,13 +108,13 @@ def fit_coupled(data: Data, before: Fitted, say: Say) -> Fitted:
     """Modes that couple the axes, from fits with one resonance per axis: guessed from the forces of these, then in rounds
     from those of the best fit so far, until nothing is gained."""
     _, coefficients = by_tooth(before.result.cases[0].force)
-    parameters = [*coefficients, *flexible_tool()[1], *OF_TRACES, *coupled()]
+    parameters = fitted(coefficients, coupled())
     best, forces = None, [before.result, *before.ends[1:BEFORE]]
     while True:
         starts = [start for result in forces for start in _with_chains(data, result, say)]
         found = best_of(data, starts, parameters, say)
         if best is not None and found.result.cost > (1 - GAIN) * best.result.cost:
-            return min(best, found, key=lambda fitted: fitted.result.cost)
+            return min(best, found, key=lambda one: one.result.cost)
         best, forces = found, [found.result]
 
 

@@ -8,6 +8,8 @@ import numpy as np
 import millax as mx
 from identification import Parameter, Prior, Tie
 
+Free = list[Parameter | Tie]
+
 STARTS = tuple((frequency, runout) for frequency in (1000.0, 2000.0) for runout in (-8e-6, -16e-6, -32e-6))
 """Frequencies of resonances [Hz] and runout [m]: a third, two thirds and four thirds of the smallest feed per tooth."""
 
@@ -56,12 +58,12 @@ def by_tooth(law: mx.ForceLaw, teeth: int = 2) -> tuple[mx.ForceLaw, list[Parame
     return dataclasses.replace(law, **listed), [Parameter(f"force.{name}.{i}") for name in names for i in range(teeth)]
 
 
-def flexible_tool() -> tuple[mx.Structure, list[Parameter | Tie]]:
+def flexible_tool() -> tuple[mx.Structure, Free]:
     """A tool with one mode in each direction of the plane."""
     per_stiffness = 1 / (2 * np.pi * TOOL) ** 2
     stiffness = jnp.full(2, STIFFNESS)
     structure = mx.Structure(("x", "y"), per_stiffness * stiffness, stiffness, damping_ratio=jnp.full(2, 0.3))
-    free: list[Parameter | Tie] = []
+    free: Free = []
     for axis in "xy":
         free += [
             Parameter(f"structure.stiffness.{axis}", bounds=SOFTEST_AND_STIFFEST),
@@ -76,6 +78,11 @@ OF_TRACES = [
     Parameter("clock.start", each=True),
     *[Parameter(f"sensor.bias.{axis}", each=True, prior=OFFSETS) for axis in "xyz"],
 ]
+
+
+def fitted(of_law: list[Parameter], of_chain: list[Parameter]) -> Free:
+    """All that is free: numbers of the law, the tool, the traces and the chain."""
+    return [*of_law, *flexible_tool()[1], *OF_TRACES, *of_chain]
 
 
 def per_axis(frequency: float) -> tuple[mx.Resonances, list[Parameter]]:

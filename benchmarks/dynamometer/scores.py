@@ -9,6 +9,7 @@ from identification import Estimate, FitResult, Parameter, Tie, check, mean_forc
 
 from ..figures import Figure
 from .fits import Fitted, Say, best_of, predicted, spectrum
+from .models import Free
 from .recordings import ANY_LAW, AXES, FEEDS, TURN, TURNING, Data, case_of, halves
 
 FLOOR = {"X": (0.88, 0.89, 0.70), "Y": (0.92, 0.93, 0.85)}
@@ -121,7 +122,7 @@ def intervals(data: Data, fitted: Fitted, n: float) -> dict[str, float | None]:
     result, samples = fitted.result, sum(one.residuals.size for one in fitted.result.traces)
     factor = np.sqrt(misfit(result) * samples / max(n - len(result.parameters), 1.0))
     held = {e.name for e in result.parameters if bounded(e)}
-    free: list[Parameter | Tie] = []
+    free: Free = []
     for p in fitted.parameters:
         if isinstance(p, Parameter) and p.name not in held:
             free.append(dataclasses.replace(p, guess=None))
