@@ -126,6 +126,14 @@ def passes(paths: Paths, width: Scalar, step_angle: float) -> list[tuple[Array, 
     return [(gap, rate, positive_part(gap, half_change(rate, step_angle, width))) for gap, rate in paths]
 
 
+def passes_by(gap, rate, width: Scalar, step_angle: float) -> tuple[Array, Array, Array]:
+    """Derivatives of what `passes` compares, by g_k, its rate and the width."""
+    half = half_change(rate, step_angle, width)
+    t = jnp.clip(gap / half, -1.0, 1.0)
+    by_half = (1 - t * t) / (4 * half)
+    return (1 + t) / 2, by_half * rate * (step_angle / 2) ** 2, by_half * width
+
+
 def blended(a, b, weight) -> tuple[Array, Array, Array]:
     """a where the weight is 0, b where it is 1."""
     x, y, z = (p + weight * (q - p) for p, q in zip(a, b, strict=True))

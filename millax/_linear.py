@@ -17,10 +17,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ._block import Conditions, Process, Slice, added, contact, found_paths, of_slices
-from ._chip import Angles, Choice, Commanded, Paths, choices, least_so_far, passes
+from ._chip import Angles, Choice, Commanded, Paths, choices, least_so_far, passes, passes_by
 from ._contact import force_on_tool
 from ._einsum import einsum
-from ._math import half_change, stored, summed
+from ._math import stored, summed
 from ._response import Motion
 
 
@@ -206,11 +206,9 @@ def _by_paths(paths: Paths, chosen: tuple[Choice, ...], by_gap: Float[Array, "te
     found.append(by)
     by_paths = []
     for (gap, rate), by in zip(paths, reversed(found), strict=True):
-        half = half_change(rate, step_angle, width)
-        x = jnp.clip(gap / half, -1.0, 1.0)
-        by_half = by[2] * (1 - x * x) / (4 * half)
-        by_paths.append((by[0] + by[2] * (1 + x) / 2, by[1] + by_half * rate * (step_angle / 2) ** 2))
-        by_width = by_width + by_half * width
+        of_gap, of_rate, of_width = passes_by(gap, rate, width, step_angle)
+        by_paths.append((by[0] + by[2] * of_gap, by[1] + by[2] * of_rate))
+        by_width = by_width + by[2] * of_width
     return tuple(by_paths), by_width
 
 
