@@ -77,19 +77,28 @@ def chosen(parser: argparse.ArgumentParser, options: argparse.Namespace, subject
 
 
 def report(subjects: Mapping[str, str], figures_of: Callable[[str], Iterable[Figure]], machine: str) -> tuple[bool, str]:
-    """Measure subjects, print their tables and what was missed; whether all targets are met, and the same as Markdown."""
+    """Measure subjects, print their tables and what was missed; whether all targets are met, and the same as Markdown.
+
+    Ctrl-C ends it with the subjects that are done; not all targets are met then.
+    """
     console, begin = Console(width=130), time.perf_counter()
-    pages, missed, count = [], [], 0
+    pages, missed, count, stopped = [], [], 0, ""
     for subject, title in subjects.items():
-        figures = show(console, title, figures_of(subject))
+        try:
+            with console.status(title):
+                figures = list(figures_of(subject))
+        except KeyboardInterrupt:
+            stopped = f'Stopped in "{title}". '
+            break
+        show(console, title, figures)
         pages.append(markdown(title, figures))
         missed += [figure for figure in figures if figure.met is False]
         count += sum(figure.met is not None for figure in figures)
-    made = (
+    made = stopped + (
         f"{count - len(missed)} of {count} targets met in {time.perf_counter() - begin:.0f} s; {machine}, "
         f"Python {platform.python_version()}, JAX {jax.__version__}, NumPy {np.__version__}."
     )
     console.print(made)
     for figure in missed:
         console.print(f"missed: {figure.what}: {figure.measured}, target {figure.target}", style="bold red")
-    return not missed, "\n".join([made, "", *pages]).rstrip() + "\n"
+    return not missed and not stopped, "\n".join([made, "", *pages]).rstrip() + "\n"

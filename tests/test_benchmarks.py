@@ -10,7 +10,7 @@ from rich.console import Console
 
 import millax as mx
 from benchmarks import bench, compiled, kr270
-from benchmarks.figures import Figure, below, near, show
+from benchmarks.figures import Figure, below, near, report, show
 from benchmarks.scan import step_by_step
 from benchmarks.slot import light, six_coordinates, slot
 from benchmarks.speed import batch, child, single
@@ -193,6 +193,18 @@ def test_the_bench_writes_its_tables_and_its_picture(tmp_path, monkeypatch, caps
     assert "| gradient | 5 | ≤ 4 | MISSED |" in text
     assert "(speed.png)" in text
     assert (tmp_path / "speed.png").stat().st_size > 10_000
+
+
+def test_ctrl_c_leaves_the_subjects_that_are_done(capsys):
+    def figures_of(subject):
+        if subject == "second":
+            raise KeyboardInterrupt
+        yield below("gradient", 3.0, 4.0)
+
+    met, text = report({"first": "Derivatives", "second": "Batches"}, figures_of, "x86_64")
+    assert not met
+    assert 'Stopped in "Batches". 1 of 1 targets met' in capsys.readouterr().out
+    assert "| gradient | 3 | ≤ 4 | ok |" in text
 
 
 def test_a_picture_of_nothing_can_be_drawn():
