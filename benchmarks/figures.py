@@ -86,11 +86,10 @@ def report(subjects: Mapping[str, str], figures_of: Callable[[str], Iterable[Fig
     for subject, title in subjects.items():
         try:
             with console.status(title):
-                figures = list(figures_of(subject))
+                figures = show(console, title, figures_of(subject))
         except KeyboardInterrupt:
             stopped = f'Stopped in "{title}". '
             break
-        show(console, title, figures)
         pages.append(markdown(title, figures))
         missed += [figure for figure in figures if figure.met is False]
         count += sum(figure.met is not None for figure in figures)
